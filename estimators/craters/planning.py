@@ -20,7 +20,7 @@ from typing import get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.estimators.craters.database.records import TextRecord, format_record, read_records, write_records
+from boresight.estimators.craters.database.files import TextRecord, format_record, read_records, write_records
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import (
     TARGET_KINDS,

@@ -10,9 +10,13 @@ from orbit_worlds import orbit_world
 from boresight.campaign.kinds.crater_navigation import CraterNavigationTrials, match_counts, told_apart
 from boresight.campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
 from boresight.estimators.craters.contract import CraterDetections, CraterMatches
-from boresight.estimators.craters.database.numbering import Numbering, PairMatches
-from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, NavigationRound
-from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.database.landmarks import Numbering, PairMatches
+from boresight.estimators.craters.navigation.rounds import (
+    CraterNavigation,
+    NavigationOptions,
+    NavigationRound,
+    StageFiles,
+)
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.craters.simulated import NO_CRATER, draw_plane_craters

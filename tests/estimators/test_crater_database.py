@@ -17,7 +17,7 @@ from boresight.estimators.craters.database.files import (
     read_landmarks,
     read_pictures,
 )
-from boresight.estimators.craters.database.numbering import NO_NUMBER, PairMatches, number_craters
+from boresight.estimators.craters.database.landmarks import NO_NUMBER, PairMatches, number_craters
 from boresight.estimators.registry import crater_matcher_class
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError

@@ -14,8 +14,7 @@ from boresight.estimators.contract import Estimate
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.build import triangulate_landmarks
 from boresight.estimators.craters.database.files import CraterDatabase
-from boresight.estimators.craters.database.landmarks import Landmarks
-from boresight.estimators.craters.database.pictures import SequencePicture
+from boresight.estimators.craters.database.landmarks import Landmarks, SequencePicture
 from boresight.estimators.craters.matching.association import CraterAssociationOptions
 from boresight.estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
 from boresight.scenarios.errors import BoresightError

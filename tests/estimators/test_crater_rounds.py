@@ -18,15 +18,23 @@ from boresight.estimators.craters.database.files import (
     write_detections,
     write_matches,
 )
-from boresight.estimators.craters.database.landmarks import Landmarks, landmarks_for_orbit
-from boresight.estimators.craters.database.numbering import PairMatches
-from boresight.estimators.craters.database.pictures import SequencePicture, pictures_for_orbit
+from boresight.estimators.craters.database.landmarks import (
+    Landmarks,
+    PairMatches,
+    SequencePicture,
+    landmarks_for_orbit,
+    pictures_for_orbit,
+)
 from boresight.estimators.craters.matching.preliminary import couples_at_same_place
 from boresight.estimators.craters.matching.transfer import joint_covariance
-from boresight.estimators.craters.navigation.rounds import reject_small_matches
-from boresight.estimators.craters.navigation.stages import StageFiles
-from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
+from boresight.estimators.craters.navigation.rounds import StageFiles, reject_small_matches
+from boresight.estimators.craters.navigation.trajectory import (
+    AprioriShape,
+    Exposure,
+    NavigationTask,
+    Trajectory,
+    images_along_trajectory,
+)
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate_states
 from boresight.scenarios.errors import BoresightError

@@ -18,8 +18,7 @@ from boresight.campaign.kinds.orbit_determination import open_orbit_world
 from boresight.campaign.kinds.sequence import ground_of
 from boresight.campaign.kinds.sequence.images import OrbitImages, Watch
 from boresight.campaign.products import BuiltAssets
-from boresight.estimators.craters.navigation.rounds import CraterNavigation
-from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.rounds import CraterNavigation, StageFiles
 from boresight.estimators.registry import sequence_estimator_class
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError

@@ -32,8 +32,12 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, MethodRunner
 from boresight.campaign.trial.score import check_listed
-from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult, NavigationRound
-from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.rounds import (
+    CraterNavigation,
+    NavigationResult,
+    NavigationRound,
+    StageFiles,
+)
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
 from boresight.estimators.registry import (

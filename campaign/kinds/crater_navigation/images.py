@@ -14,9 +14,8 @@ from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.trial.score import check_detections, identified
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
-from boresight.estimators.craters.navigation.rounds import CraterNavigation
-from boresight.estimators.craters.navigation.stages import StageFiles
-from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
+from boresight.estimators.craters.navigation.rounds import CraterNavigation, StageFiles
+from boresight.estimators.craters.navigation.trajectory import AprioriShape, Exposure, NavigationTask
 from boresight.estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
 from boresight.scenarios.arrays import Image, IndexArray
 from boresight.scenarios.atomic import write_atomically

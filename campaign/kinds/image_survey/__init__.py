@@ -20,7 +20,7 @@ from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_
 from boresight.campaign.trial.runner import TrialRunner, located
 from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
-from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.rounds import StageFiles
 from boresight.estimators.craters.planning import PLANNER, PLANNER_VERSION
 from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER

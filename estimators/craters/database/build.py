@@ -9,9 +9,14 @@ import numpy as np
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatcher, GroundModel
 from boresight.estimators.craters.database.files import CraterDatabase
-from boresight.estimators.craters.database.landmarks import Landmarks, locate_landmarks
-from boresight.estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from boresight.estimators.craters.database.pictures import numbered_pictures
+from boresight.estimators.craters.database.landmarks import (
+    Landmarks,
+    Numbering,
+    PairMatches,
+    locate_landmarks,
+    number_craters,
+    numbered_pictures,
+)
 from boresight.estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
 from boresight.estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from boresight.scenarios.arrays import FloatArray, IndexArray

@@ -1,12 +1,18 @@
-"""The chain from detected craters to an orbit: image pairs, matches, database, orbit; repeated until it is accepted."""
+"""The chain from detected craters to an orbit: image pairs, matches, database, orbit; repeated until it is accepted.
+
+The result of each stage is a file, from which an interrupted chain continues.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +27,78 @@ from boresight.estimators.craters.contract import (
     GroundModel,
 )
 from boresight.estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
-from boresight.estimators.craters.database.landmarks import landmarks_for_orbit, locate_landmarks
-from boresight.estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from boresight.estimators.craters.database.pictures import numbered_pictures, pictures_for_orbit
+from boresight.estimators.craters.database.landmarks import (
+    Numbering,
+    PairMatches,
+    landmarks_for_orbit,
+    locate_landmarks,
+    number_craters,
+    numbered_pictures,
+    pictures_for_orbit,
+)
 from boresight.estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
-from boresight.estimators.craters.navigation.stages import StageFiles
-from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
-from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
+from boresight.estimators.craters.navigation.trajectory import (
+    Exposure,
+    NavigationTask,
+    Trajectory,
+    images_along_trajectory,
+)
 from boresight.estimators.options import Configured
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.parameters import OrbitOptions
 from boresight.estimators.registry import crater_detector_class, crater_matcher_class
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.reading import read_json
 from boresight.scenarios.spec.base import SpecModel
+
+T = TypeVar("T")
+
+_SECONDS = "seconds.json"
+
+
+@dataclass(frozen=True, slots=True)
+class StageFiles:
+    """A folder with one file for each finished part of a stage, and the computing time of the stages."""
+
+    folder: Path
+
+    def subfolder(self, name: str) -> StageFiles:
+        """Return the files of a folder within."""
+        return StageFiles(self.folder / name)
+
+    def cached(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
+        """Read a file; make it first if it does not exist, and add the time to that of the stage."""
+        path = self.folder / name
+        if not path.exists():
+            with self.timed(stage):
+                make(path)
+        return read(path)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of the block to that of a stage, unless it raises."""
+        started = time.perf_counter()
+        yield
+        spent = self.seconds()
+        spent[stage] = spent.get(stage, 0.0) + time.perf_counter() - started
+        write_text(self.folder / _SECONDS, json.dumps(spent))
+
+    def seconds(self) -> dict[str, float]:
+        """Return the time that each stage took, over all starts.
+
+        Raise BoresightError if the file of times is damaged.
+        """
+        path = self.folder / _SECONDS
+        spent = read_json(path, "the times of stages") if path.exists() else {}
+        if not isinstance(spent, dict) or not all(isinstance(seconds, (int, float)) for seconds in spent.values()):
+            raise BoresightError(f"{path}: does not hold the times of stages: remove it, and the run goes on")
+        return dict(spent)
+
 
 _MATCHING = "matching"
 _BLOCK = 50  # pairs of images in one file: so many are matched again after an interruption
