@@ -175,11 +175,8 @@ def locate_landmarks(
     for image, numbers in zip(images, numbering.numbers, strict=True):
         located = locate_craters(image, ground)
         known = (numbers >= 0) & located.on_body
-        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
-        # Foreshortening leaves the longer semi-axis unchanged: it is the radius on the ground.
-        radii = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
         spread = landmark_covariances(image, located, height_sigma_m)
-        values = (numbers, located.points_body_m, located.normals_body, np.log(radii), spread)
+        values = (numbers, located.points_body_m, located.normals_body, np.log(located.radii_m(image)), spread)
         parts.append(tuple(value[known] for value in values))
     return _average_by_number(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 

@@ -58,11 +58,9 @@ def preliminary_pairs(
         located = locate_craters(image, ground)
         known = located.on_body
         covariance = landmark_covariances(image, located, options.height_sigma_m)
-        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
-        radius_m = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
-        here = np.full(int(known.sum()), number)
+        here, log_radii = np.full(int(known.sum()), number), np.log(located.radii_m(image)[known])
         moved = located.by_pose()[known] @ image.common
-        parts.append((here, located.points_body_m[known], covariance[known], moved, np.log(radius_m[known])))
+        parts.append((here, located.points_body_m[known], covariance[known], moved, log_radii))
     image_of, points, covariances, moved, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
     couples = couples_at_same_place(points, covariances, options.gate_sigma, moved)
     ratio = np.abs(np.diff(radii[couples], axis=1)[:, 0])
@@ -113,8 +111,7 @@ def couples_at_same_place(
 def landmark_covariances(image: CraterImage, located: LocatedCraters, height_sigma_m: float) -> FloatArray:
     """Return (n, 3, 3) m^2 of located craters: from the pose, half a pixel of the centre, and the shape's height."""
     by_pose, by_height = located.by_pose(), located.by_height()
-    ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
-    pixel_m = 0.5 * ranges * image.camera.pixel_angle_rad
+    pixel_m = 0.5 * located.ranges_m * image.camera.pixel_angle_rad
     covariance = by_pose @ image.frame.prior_covariance @ np.swapaxes(by_pose, 1, 2)
     # A higher ground is met earlier: the point moves along the line of sight, the farther the more slanted.
     covariance += height_sigma_m**2 * np.einsum("ni,nj->nij", by_height, by_height)

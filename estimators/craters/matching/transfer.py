@@ -32,6 +32,16 @@ class LocatedCraters:
         """Return (n,) whether the line of sight met the body."""
         return np.asarray(np.isfinite(self.points_body_m).all(axis=1))
 
+    @property
+    def ranges_m(self) -> FloatArray:
+        """Return (n,) distances from the camera, NaN off the body."""
+        return np.asarray(np.linalg.norm(self.points_body_m - self.T_cam_body.camera_position_m, axis=1))
+
+    def radii_m(self, image: CraterImage) -> FloatArray:
+        """Return (n,) radii on the ground of the rims of the ``image`` that was located, NaN off the body."""
+        # Foreshortening leaves the longer semi-axis unchanged.
+        return image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * self.ranges_m
+
     def __getitem__(self, rows: IndexArray | BoolArray) -> LocatedCraters:
         return LocatedCraters(self.points_body_m[rows], self.normals_body[rows], self.T_cam_body)
 
@@ -159,11 +169,8 @@ def transfer_craters(
     planes = located[rows]
     towards = pose.camera_position_m - planes.points_body_m
     away = np.einsum("ni,ni->n", planes.normals_body, towards) <= 0.0
-    ranges = np.linalg.norm(planes.points_body_m - planes.T_cam_body.camera_position_m, axis=1)
-    # From the longer axis, which foreshortening leaves unchanged.
-    radii_m = first.detections.ellipses.semi_axes_px[rows, 0] * first.camera.pixel_angle_rad * ranges
     # Two radii of slack: the rim is above the ground on which its crater was located.
-    kept = ~away & ~occluded(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
+    kept = ~away & ~occluded(planes.points_body_m, pose.camera_position_m, ground, 2.0 * located.radii_m(first)[rows])
     rows, planes = rows[kept], planes[kept]
     by_error, by_height = _sensitivity(planes, camera, pose)
     maps = plane_homographies(planes, first.camera, camera, pose)
