@@ -21,9 +21,8 @@ from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.load.lengths import body_sides_m
+from boresight.scenarios.load.lengths import Scale, body_sides_m
 from boresight.scenarios.onboard import onboard_spec
-from boresight.scenarios.spec.length import Scale
 from boresight.scenarios.spec.trajectory import StatesSpec
 from boresight.scenarios.spec.world import ViewpointSpec
 
@@ -190,9 +189,8 @@ def scale_of(scenario: LoadedScenario) -> Scale:
         known = spec.m_per_px
         return typical_range_m(scenario) / spec.camera.camera().fx_px if known is None else known
 
-    camera = spec.camera
-    frame_px2 = float(camera.width_px * camera.height_px)
-    return Scale(m_per_px, partial(body_sides_m, spec.body, scenario.search_dirs), lambda: frame_px2)
+    frame_px2 = float(spec.camera.width_px * spec.camera.height_px)
+    return Scale(m_per_px, partial(body_sides_m, spec.body, scenario.search_dirs), frame_px2)
 
 
 def open_world(scenario: LoadedScenario, variant: str) -> World:

@@ -30,8 +30,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, project_circles
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.sequences.ground import MeshGround
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 _PASSES = 4  # linearisations
 _CONVERGED_M = 0.1

@@ -11,8 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 IndexArray = NDArray[np.intp]
 

@@ -19,8 +19,7 @@ from pydantic import Field, model_validator
 from boresight.estimators.landmark.signal import extract_signal
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import pixel_from_opencv
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import number
+from boresight.scenarios.spec.base import SpecModel, number
 
 OCTAVES = ((9, 15, 21, 27), (15, 27, 39, 51))
 """Sides of the box filters, pixels: the first two octaves of Bay et al."""

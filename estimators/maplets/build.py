@@ -15,8 +15,7 @@ from boresight.estimators.contract import NoProductError
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 1

@@ -20,8 +20,7 @@ from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 IntArray = NDArray[np.int64]
 

@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 Gate = Literal["none", "individual", "one-point"]
 

@@ -17,10 +17,9 @@ from pydantic_core import PydanticUndefined
 
 from boresight.scenarios.load.explain import bounds_of, interval
 from boresight.scenarios.load.merge import Models
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import LEFT_OUT, SpecModel, rule_of
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.distribution import Law
-from boresight.scenarios.spec.length import LEFT_OUT, rule_of
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.vectors import Law3
 

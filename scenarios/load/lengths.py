@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,15 +14,56 @@ from pydantic import ValidationError
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.merge import Models, Plain, field_models, meant_model
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, rule_of
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec, CratersSpec
-from boresight.scenarios.spec.length import Scale, Sides, rule_of
 
 Model = TypeVar("Model", bound=SpecModel)
+Sides = tuple[float, float, float]
 
 _ADDED_TO_SHAPE = ("detail", "height_error", "even_facets")
+_THOMSEN = 1.6075
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Pixel, body and frame of a scenario, by which values are measured.
+
+    ``m_per_px`` and ``sides_m``, called when a value needs them, return the length across the line of sight that a
+    pixel covers at the median range, and the sides of the body's box, m. ``frame_px2`` is the area of an image, px^2.
+    """
+
+    m_per_px: Callable[[], float | None]
+    sides_m: Callable[[], Sides | None]
+    frame_px2: float | None = None
+
+    def value(self, rule: dict[str, float], default: object) -> float | int | None:
+        """Return the value of a rule; None if it is not known, or if it is a number that stays at its default."""
+        if "each_px2" not in rule:
+            return self.length_m(rule)
+        times = max(1, round((self._body_px2() or 0.0) / rule["each_px2"]))
+        return min(times * default, int(rule["most"])) if isinstance(default, int) and times > 1 else None
+
+    def _body_px2(self) -> float | None:
+        """Return the area of the body in the image, averaged over all directions, px^2; at most that of the image."""
+        sides_m, m_per_px = self.sides_m(), self.m_per_px()
+        if sides_m is None or m_per_px is None or self.frame_px2 is None:
+            return None
+        # A convex body's silhouette is a quarter of its surface on average (Cauchy). Of the ellipsoid in the box, as
+        # facets of a rough shape have a larger surface: Thomsen's formula, good to 1.1 %.
+        a, b, c = ((0.5 * side_m) ** _THOMSEN for side_m in sides_m)
+        area_m2 = float(np.pi * ((a * b + a * c + b * c) / 3.0) ** (1.0 / _THOMSEN))
+        return min(area_m2 / m_per_px**2, self.frame_px2)
+
+    def length_m(self, rule: dict[str, float]) -> float | None:
+        """Return the length of a rule, m; None if it is not known.
+
+        Four digits are kept, so that a number can be read, and does not depend on the machine.
+        """
+        ones_m = {unit: self.m_per_px() if unit == "px" else max(self.sides_m() or (), default=None) for unit in rule}
+        known_m = [rule[unit] * one_m for unit, one_m in ones_m.items() if one_m is not None]
+        return float(f"{min(known_m):.4g}") if known_m else None
 
 
 def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale, default: SpecModel | None = None) -> Plain:
@@ -78,7 +120,7 @@ def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> S
             return None
         return body_sides_m(body.embedded() if embedded else body, folders)
 
-    return Scale(m_per_px, sides_m, lambda: None)  # no key of a scenario is a number that follows from the image
+    return Scale(m_per_px, sides_m)  # no key of a scenario is a number that follows from the image
 
 
 def _part(folders: Sequence[Path], model: type[Model], value: object) -> Model:

@@ -1,4 +1,4 @@
-"""Base class of the schema's models, their canonical JSON form and its digest."""
+"""Base class of the schema's models, their fields that may be left out, canonical JSON form and digest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import wraps
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -20,6 +20,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 
 def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
@@ -65,6 +66,49 @@ def rule(check: Callable[[Model], None]) -> Any:
 def deviation(default: float | None, of: str, **bounds: Any) -> Any:
     """Describe a field with the standard deviation of something."""
     return Field(default, description=f"Standard deviation of {of}", **bounds)
+
+
+LEFT_OUT = "left_out"
+"""Key of the JSON Schema of a field: what its value follows from."""
+
+
+def length(
+    default_m: float,
+    description: str,
+    *,
+    px: float | None = None,
+    body: float | None = None,
+    gt: float | None = None,
+    ge: float | None = None,
+) -> Any:
+    """Describe a field with a length, m, that follows from the scenario where a file leaves it out.
+
+    It is then ``px`` pixels at the median range of the images, or ``body`` of the longest side of the body's box; of
+    both the smaller. Without a scenario, in a model that is made in Python, it is ``default_m``.
+    """
+    share = {unit: amount for unit, amount in (("px", px), ("body", body)) if amount is not None}
+    extra: dict[str, Any] = {LEFT_OUT: share}
+    words = {"px": "{:g} px at the median range", "body": "{:g} of the body's length"}
+    amounts = [words[unit].format(amount) for unit, amount in share.items()]
+    left_out = f"{description}; left out: {' or '.join(amounts)}{', the smaller' if len(amounts) > 1 else ''}"
+    return Field(default_m, description=left_out, json_schema_extra=extra, gt=gt, ge=ge)
+
+
+def number(default: int, description: str, *, each_px2: float, ge: int, le: int) -> Any:
+    """Describe a field with a number of features in an image that follows from the scenario where a file leaves it out.
+
+    It is then so many times the default as the body's area in the image has ``each_px2``, rounded; the default at
+    least, and where there is no scenario.
+    """
+    left_out = f"{description}; left out: {default} for each {each_px2:g} px^2 of the body, {default} at least"
+    extra: dict[str, Any] = {LEFT_OUT: {"each_px2": each_px2, "most": le}}
+    return Field(default, description=left_out, json_schema_extra=extra, ge=ge, le=le)
+
+
+def rule_of(field: FieldInfo) -> dict[str, float] | None:
+    """Return the rule of a value that is left out, by ``px``, ``body`` or both, or by ``each_px2``; else None."""
+    extra = field.json_schema_extra
+    return cast("dict[str, float] | None", extra.get(LEFT_OUT)) if isinstance(extra, dict) else None
 
 
 class SpecModel(BaseModel):

@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel, optional, rule
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length, optional, rule
 
 EMBEDDED_NAMES = (
     "contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like", "bennu-like",

@@ -6,10 +6,9 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel, deviation, rule
+from boresight.scenarios.spec.base import SpecModel, deviation, length, rule
 from boresight.scenarios.spec.body import RoughnessSpec, SizesSpec
 from boresight.scenarios.spec.distribution import Uniform
-from boresight.scenarios.spec.length import length
 
 LISTED_PX = 6.0
 """Diameter of the smallest listed crater by default: detectors find craters from 9 px on, and a match may be smaller by

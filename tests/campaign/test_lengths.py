@@ -17,10 +17,9 @@ from boresight.campaign.trial.kind import kind_named
 from boresight.estimators.pages import FAMILIES
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.load.lengths import dotted
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.load.lengths import Scale, dotted
+from boresight.scenarios.spec.base import SpecModel, rule_of
 from boresight.scenarios.spec.camera import DetectorSpec
-from boresight.scenarios.spec.length import Scale, rule_of
 
 NO_DETAIL = "body.detail=null"
 CORNERS_GIVEN = {"database": {"corners": {"count": 50}}}
@@ -70,10 +69,10 @@ def test_the_area_of_a_body_is_the_mean_of_its_silhouettes():
         # A prolate spheroid of eccentricity e has the surface 2 pi b^2 (1 + a / (b e) arcsin e).
         ((400.0, 200.0, 200.0), 0.5 * np.pi * 100.0**2 * (1.0 + 4.0 / np.sqrt(3.0) * np.arcsin(np.sqrt(0.75)))),
     ):
-        scale = Scale(lambda: 2.0, lambda sides_m=sides_m: sides_m, lambda: 1e9)
+        scale = Scale(lambda: 2.0, lambda sides_m=sides_m: sides_m, 1e9)
         assert scale.value(rule, 1) == pytest.approx(area_m2 / 4.0, rel=0.011)
     assert scale.value({**rule, "most": 50}, 1) == 50
-    assert Scale(lambda: 2.0, lambda: None, lambda: 1e9).value(rule, 1) is None
+    assert Scale(lambda: 2.0, lambda: None, 1e9).value(rule, 1) is None
 
 
 def test_a_given_length_stays_and_null_stands_for_the_default():
@@ -145,7 +144,7 @@ def models(model: type[SpecModel]):
 
 
 def test_no_option_of_a_method_has_a_default_in_metres():
-    """A length that is right on one body alone breaks on others: see `scenarios/spec/length.py`."""
+    """A length that is right on one body alone breaks on others: see `scenarios/spec/base.py`."""
     wrong = [
         f"{name}: {key}"
         for registry in FAMILIES.values()

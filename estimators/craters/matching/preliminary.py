@@ -12,8 +12,7 @@ from boresight.estimators.craters.contract import CraterImage, GroundModel
 from boresight.estimators.craters.matching.transfer import LocatedCraters, locate_craters
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 _BLOCK_SIZE = 64  # landmarks compared with all others at once, to bound the memory
 

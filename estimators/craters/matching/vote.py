@@ -18,8 +18,7 @@ from boresight.estimators.craters.matching.association import (
 from boresight.estimators.craters.matching.transfer import joint_covariance, locate_craters, transfer_craters
 from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.length import length
+from boresight.scenarios.spec.base import SpecModel, length
 
 _PASSES = 3  # linearisations
 _MIN_PAIRS_TO_CORRECT = 3  # fewer pairs do not determine the errors of the poses
