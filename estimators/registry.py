@@ -147,7 +147,7 @@ ESTIMATORS: Registry[Estimator] = Registry(
         "landmark-orb": "boresight.estimators.descriptors.recognizer:OrbNavigator",
         "landmark-sift": "boresight.estimators.descriptors.recognizer:SiftNavigator",
         "landmark-ransac": "boresight.estimators.landmark.robust.estimator:ConsensusRecognizer",
-        "whole-image": "boresight.estimators.dense.whole_image:WholeImageRecognizer",
+        "whole-image": "boresight.estimators.dense.photometric:WholeImageRecognizer",
         "photometric": "boresight.estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "boresight.estimators.maplets.recognizer:MapletNavigator",
         "crater-pose": "boresight.estimators.craters.pose:CraterPose",

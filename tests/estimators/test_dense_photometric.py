@@ -14,8 +14,7 @@ from boresight.estimators.dense.gauss_newton import (
     reduced_camera,
     reduced_image,
 )
-from boresight.estimators.dense.photometric import PhotometricEstimator, PhotometricOptions
-from boresight.estimators.dense.whole_image import registration_aligner
+from boresight.estimators.dense.photometric import PhotometricEstimator, PhotometricOptions, registration_aligner
 from boresight.estimators.landmark.alignment import MeshView
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant

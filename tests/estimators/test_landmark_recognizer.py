@@ -5,7 +5,7 @@ import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.contract import Estimate
-from boresight.estimators.dense.whole_image import WholeImageRecognizer
+from boresight.estimators.dense.photometric import WholeImageRecognizer
 from boresight.estimators.landmark.database import (
     DatabaseOptions,
     LandmarkDatabase,
