@@ -14,8 +14,8 @@ import pandas as pd
 from boresight.campaign.data.label_score import LabelMatches, label_quality, match_labels, score_table
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.detection.preparation import check_image, lit_ground
+from boresight.estimators.craters.learned.heat_map import estimate_sun
 from boresight.estimators.craters.learned.heat_map_detector import packaged_heat_map
-from boresight.estimators.craters.learned.sunward import estimate_sun
 from boresight.reports.figures.craters import draw_detections
 from boresight.reports.figures.style import save_figure
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image

@@ -6,8 +6,7 @@ import numpy as np
 from crater_scenes import CAMERA, Bowl, frame_of, image_of
 
 from boresight.estimators.craters.detection.classic import CraterClassic
-from boresight.estimators.craters.detection.edges import canny, gradient_of
-from boresight.estimators.craters.detection.preparation import PreparedImage, prepare_image
+from boresight.estimators.craters.detection.preparation import PreparedImage, canny, gradient_of, prepare_image
 from boresight.scenarios.geometry import Camera
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)

@@ -9,10 +9,15 @@ from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate2d
 
 from boresight.estimators.craters.detection.preparation import lit_ground, prepare_image
-from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork, contrast_channels
+from boresight.estimators.craters.learned.heat_map import (
+    SHAPES,
+    HeatMapNetwork,
+    Turn,
+    contrast_channels,
+    estimate_sun,
+    search,
+)
 from boresight.estimators.craters.learned.heat_map_detector import CraterHeatMap, packaged_heat_map
-from boresight.estimators.craters.learned.search import Turn, search
-from boresight.estimators.craters.learned.sunward import estimate_sun
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
 

@@ -8,7 +8,7 @@ from numpy_climb import merit, numpy_climb
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import minimize
 
-from boresight.estimators.craters.detection.edges import Gradient
+from boresight.estimators.craters.detection.preparation import Gradient
 from boresight.estimators.craters.detection.refinement import (
     GradientScales,
     confidence,

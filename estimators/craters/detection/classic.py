@@ -9,10 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterDetections
-from boresight.estimators.craters.detection.edges import EdgePixels, canny
 from boresight.estimators.craters.detection.ellipse_fit import fit_candidates
 from boresight.estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
-from boresight.estimators.craters.detection.preparation import PreparedImage, prepare_image
+from boresight.estimators.craters.detection.preparation import EdgePixels, PreparedImage, canny, prepare_image
 from boresight.estimators.craters.detection.refinement import (
     SCALES_PX,
     GradientScales,

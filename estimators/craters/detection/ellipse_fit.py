@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from boresight.estimators.craters.detection.edges import EdgePixels
 from boresight.estimators.craters.detection.grouping import RimArc
-from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.detection.preparation import EdgePixels, PreparedImage
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances

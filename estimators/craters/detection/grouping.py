@@ -15,8 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from boresight.estimators.craters.detection.edges import EdgePixels
-from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.detection.preparation import EdgePixels, PreparedImage
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 _LINK_PX = 1.9  # distance of neighbours: a pixel's diagonal plus the subpixel offsets

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.estimators.craters.detection.edges import Gradient, gradient_of
-from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.detection.preparation import Gradient, PreparedImage, gradient_of
 from boresight.estimators.craters.kernels import RIM_POINTS, best_of_each, climb, divide_softly, rim_merits
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses

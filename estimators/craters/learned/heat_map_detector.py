@@ -23,9 +23,8 @@ from boresight.estimators.craters.learned.detector import (
     packaged_network,
     read_weights,
 )
-from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork
+from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork, search
 from boresight.estimators.craters.learned.network import PatchSource, rims_from_outputs
-from boresight.estimators.craters.learned.search import search
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.estimators.craters.detection.edges import gradient_of
-from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.detection.preparation import PreparedImage, gradient_of
 from boresight.estimators.craters.kernels import LANES, RingTaps, ring_scores, side_weights
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
