@@ -1,16 +1,18 @@
 """Reflectance models, each formula written once for both NumPy and Dr.Jit arrays."""
 
 from boresight.renderers.brdf.arrays import NUMPY, ArrayMath, phase_angle, phase_of_rays
-from boresight.renderers.brdf.hapke import HapkeParameters, hapke
-from boresight.renderers.brdf.lunar_lambert import (
+from boresight.renderers.brdf.laws import (
+    HapkeParameters,
     LommelSeeligerParameters,
     McEwenParameters,
+    OrenNayarParameters,
+    hapke,
     lambert,
     lommel_seeliger,
     mcewen,
+    oren_nayar,
 )
 from boresight.renderers.brdf.models import MODELS, ReflectanceModel, brdf_value
-from boresight.renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 
 __all__ = [
     "MODELS",

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 from boresight.renderers.brdf.arrays import NUMPY, Array, ArrayMath
-from boresight.renderers.brdf.hapke import HapkeParameters, hapke
-from boresight.renderers.brdf.lunar_lambert import (
+from boresight.renderers.brdf.laws import (
+    HapkeParameters,
     LommelSeeligerParameters,
     McEwenParameters,
+    OrenNayarParameters,
+    hapke,
     lambert,
     lommel_seeliger,
     mcewen,
+    oren_nayar,
 )
-from boresight.renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.brdf import (
     BrdfSpec,
@@ -31,13 +33,19 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ReflectanceModel:
-    """Reflectance model: its schema in scenarios, and its BRDF of (values, cos_i, cos_e, phase_rad, math).
+    """Reflectance model: its schema in scenarios, the parameters of a ``brdf`` section, and the law.
 
-    The values are those of the scenario's ``brdf`` section, in its units; they may be Dr.Jit values.
+    ``parameters`` converts the values of the section, and ``law`` is the BRDF, 1/sr, of (parameters, cos_i, cos_e,
+    phase_rad, math).
     """
 
     spec: type[SpecModel]
-    formula: Callable[[Values, Array, Array, Array, ArrayMath], Array]
+    parameters: Callable[[Values], Any]
+    law: Callable[[Any, Array, Array, Array, ArrayMath], Array]
+
+    def formula(self, values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+        """Evaluate the BRDF, 1/sr, by the values of a ``brdf`` section in its units; they may be Dr.Jit values."""
+        return self.law(self.parameters(values), cos_i, cos_e, phase_rad, xp)
 
     @property
     def kind(self) -> str:
@@ -51,34 +59,14 @@ class ReflectanceModel:
         return tuple(key for key in self.spec.model_fields if key != "kind")
 
 
-def _lambert(values: Values, _i: Array, _e: Array, _g: Array, _xp: ArrayMath) -> Array:
-    return lambert(values["albedo"])
-
-
-def _oren_nayar(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    return oren_nayar(OrenNayarParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
-
-
-def _hapke(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    return hapke(HapkeParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
-
-
-def _lommel_seeliger(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    return lommel_seeliger(LommelSeeligerParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
-
-
-def _mcewen(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    return mcewen(McEwenParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
-
-
 MODELS = {
     model.kind: model
     for model in (
-        ReflectanceModel(LambertSpec, _lambert),
-        ReflectanceModel(OrenNayarSpec, _oren_nayar),
-        ReflectanceModel(HapkeSpec, _hapke),
-        ReflectanceModel(LommelSeeligerSpec, _lommel_seeliger),
-        ReflectanceModel(McEwenSpec, _mcewen),
+        ReflectanceModel(LambertSpec, lambda values: values["albedo"], lambda albedo, *_: lambert(albedo)),
+        ReflectanceModel(OrenNayarSpec, OrenNayarParameters.from_values, oren_nayar),
+        ReflectanceModel(HapkeSpec, HapkeParameters.from_values, hapke),
+        ReflectanceModel(LommelSeeligerSpec, LommelSeeligerParameters.from_values, lommel_seeliger),
+        ReflectanceModel(McEwenSpec, McEwenParameters.from_values, mcewen),
     )
 }
 

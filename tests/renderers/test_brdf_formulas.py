@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from boresight.renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
-from boresight.renderers.brdf.hapke import h_function, opposition_surge
-from boresight.renderers.brdf.lunar_lambert import henyey_greenstein
+from boresight.renderers.brdf.laws import h_function, henyey_greenstein, opposition_surge
 from boresight.scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
 
 HAPKES = [
