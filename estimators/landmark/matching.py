@@ -95,26 +95,19 @@ def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatA
     return adjugate / determinant[..., None, None], determinant  # eq. (19)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchedFrame:
-    """Matches in a frame with its pose: (M,) rows of the data base and (M, 2) corners in the image."""
-
-    T_cam_body: Pose
-    landmark: NDArray[np.intp]
-    uv_px: FloatArray
-
-
-def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
+def matched_table(
+    landmark: IndexArray, uv_px: FloatArray, database: LandmarkDatabase, camera: Camera, T_cam_body: Pose
+) -> Table:
     """Return the table of matched landmarks that the campaign scores, one row each.
 
-    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
-    the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's
-    mean and covariance).
+    ``landmark`` (M,) are rows of the data base, ``uv_px`` (M, 2) their corners in the image. Columns: ``landmark``,
+    ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of the corner to the landmark at the estimated
+    pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's mean and covariance).
     """
-    landmark, uv = found.landmark, found.uv_px
-    projection = project_landmarks(database, camera, found.T_cam_body)
-    d2 = squared_distances(uv - projection.uv_px[landmark], projection.covariances_px2[landmark])
-    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
+    projection = project_landmarks(database, camera, T_cam_body)
+    d2 = squared_distances(uv_px - projection.uv_px[landmark], projection.covariances_px2[landmark])
+    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv_px[:, 0], "v_px": uv_px[:, 1]}
+    table["d2_px"] = d2
     return table | point_columns(database.means_m[landmark], database.covariances_m2[landmark])
 
 

@@ -24,7 +24,7 @@ from boresight.estimators.landmark.alignment import (
 )
 from boresight.estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
-from boresight.estimators.landmark.matching import MatchedFrame, Matches, inverse_2x2, match_landmarks, matched_table
+from boresight.estimators.landmark.matching import Matches, inverse_2x2, match_landmarks, matched_table
 from boresight.estimators.landmark.pose.problem import (
     MIN_LANDMARKS,
     MarquardtOptions,
@@ -383,5 +383,5 @@ def _details(found: Recognition, database: LandmarkDatabase, camera: Camera) -> 
     if found.fit is None or found.solution is None or found.corners is None:
         return {}
     matches = found.solution.rounds[-1].matches
-    matched = MatchedFrame(found.fit.T_cam_body, matches.landmark, found.corners.uv_px[matches.corner])
-    return {"landmarks": matched_table(matched, database, camera)}
+    uv_px = found.corners.uv_px[matches.corner]
+    return {"landmarks": matched_table(matches.landmark, uv_px, database, camera, found.fit.T_cam_body)}

@@ -22,7 +22,7 @@ from boresight.estimators.landmark.alignment import (
 )
 from boresight.estimators.landmark.corners import CornerOptions, detect_corners
 from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
-from boresight.estimators.landmark.matching import MatchedFrame, matched_table
+from boresight.estimators.landmark.matching import matched_table
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import visible_landmarks
@@ -83,13 +83,13 @@ class _Solution:
     corners_px: FloatArray
     centroid_residual_px: float | None = None
 
-    def matched(self) -> MatchedFrame:
-        """Return the landmarks with a corner within their 3-sigma region (two degrees of freedom) as matches."""
+    def matched(self) -> tuple[NDArray[np.intp], FloatArray]:
+        """Return the landmarks (M,) with a corner within their 3-sigma region (two degrees of freedom), and corners."""
         # Among the candidates of a landmark the one at the least weighted distance.
         rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
         near = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
         corner = self.evaluation.candidates[0, rows, likely][near]
-        return MatchedFrame(self.pose, self.visible[near], self.corners_px[corner])
+        return self.visible[near], self.corners_px[corner]
 
 
 class ConsensusRecognizer:
@@ -150,15 +150,15 @@ class ConsensusRecognizer:
         if isinstance(solution, str):
             return Estimate("failed", solution, timings_s=clock.seconds)
         # Inverse information at the maximum. It takes all landmarks as independent, hence the factor on the covariance.
-        bound, matched = np.linalg.inv(solution.evaluation.hessian[0]), solution.matched()
+        bound, (landmark, uv_px) = np.linalg.inv(solution.evaluation.hessian[0]), solution.matched()
         return Estimate(
             "ok",
             pose=solution.pose,
             covariance=self._options.covariance_scale * bound + observation.calibration_covariance(solution.pose),
             bound=bound,
             stages=(Stage("alignment", solution.alignment.T_cam_body), Stage("recognition", solution.pose)),
-            details={"landmarks": matched_table(matched, self._database, observation.camera)},
-            diagnostics=_diagnostics(solution, len(matched.landmark)),
+            details={"landmarks": matched_table(landmark, uv_px, self._database, observation.camera, solution.pose)},
+            diagnostics=_diagnostics(solution, len(landmark)),
             timings_s=clock.seconds,
         )
 
