@@ -21,7 +21,7 @@ from boresight.scenarios.bodies.topology import directed_edge_keys, find_edges, 
 from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
 from boresight.scenarios.spec.body import BodySpec, DetailSpec, FurtherHeightErrorSpec, HeightErrorSpec
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
@@ -123,14 +123,10 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
 def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
     """Compute the winding number of a closed mesh about a point: 1 inside, 0 outside.
 
-    The sum of the facets' signed solid angles over 4 pi (van Oosterom and Strackee 1983, equation 8).
+    The sum of the facets' signed solid angles over 4 pi.
     """
-    a, b, c = np.moveaxis(mesh.corners_m - point_m, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
-    dots = [np.einsum("fi,fi->f", p, q) for p, q in ((a, b), (b, c), (c, a))]
-    half = np.arctan2(triple, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)  # eq. (8)
-    return float(half.sum() / (2.0 * np.pi))
+    corners = mesh.corners_m - point_m
+    return float(solid_angles(corners, np.linalg.norm(corners, axis=2)).sum() / (4.0 * np.pi))
 
 
 HEIGHT_ERROR_VERSION = 1

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Polyhedron:
         corners = self.mesh.corners_m - position_m
         distances = np.sqrt(np.einsum("fki,fki->fk", corners, corners))
         # (n_f . r_f) omega_f: r_f may be any corner, as all have the same distance from the facet's plane.
-        flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * _solid_angles(corners, distances)
+        flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * solid_angles(corners, distances)
         # (m_fe . r_e) L_e of the three edges, L_e = ln((a + b + e) / (a + b - e)) the potential of a wire along an edge
         # of length e with distances a and b of its ends; both facets of an edge have the same L_e.
         both = distances + np.roll(distances, -1, axis=1)
@@ -54,7 +54,7 @@ class Polyhedron:
     def laplacian(self, position_m: FloatArray) -> float:
         """Divergence of the acceleration, 1/s2: -4 pi G sigma inside and 0 outside."""
         corners = self.mesh.corners_m - position_m
-        return float(-self._g_sigma * _solid_angles(corners, np.linalg.norm(corners, axis=2)).sum())
+        return float(-self._g_sigma * solid_angles(corners, np.linalg.norm(corners, axis=2)).sum())
 
     @cached_property
     def _g_sigma(self) -> float:
@@ -79,14 +79,3 @@ class Polyhedron:
             across, self._lengths_m[..., None], out=np.zeros_like(across), where=self._lengths_m[..., None] > 0.0
         )
         return out
-
-
-def _solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:
-    """(F,): signed solid angles of facets whose corners (F, 3, 3) are seen from the origin."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    r_a, r_b, r_c = distances.T
-    dots = [np.einsum("fi,fi->f", x, y) for x, y in ((a, b), (b, c), (c, a))]
-    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
-    # van Oosterom and Strackee (1983), equation (8); atan2 holds for angles beyond a half-space.
-    solid: FloatArray = 2.0 * np.arctan2(triple, r_a * r_b * r_c + r_c * dots[0] + r_a * dots[1] + r_b * dots[2])
-    return solid

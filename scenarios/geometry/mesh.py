@@ -109,3 +109,17 @@ class TriangleMesh:
         """(3,) size of the axis-aligned box."""
         extent: FloatArray = np.ptp(self.vertices_m, axis=0)
         return extent
+
+
+def solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:
+    """(F,) signed solid angles, sr, of facets as seen from the origin: van Oosterom and Strackee (1983), equation (8).
+
+    ``corners`` (F, 3, 3) are relative to that origin, and ``distances`` (F, 3) their lengths.
+    """
+    a, b, c = np.moveaxis(corners, 1, 0)
+    r_a, r_b, r_c = distances.T
+    dots = [np.einsum("fi,fi->f", x, y) for x, y in ((a, b), (b, c), (c, a))]
+    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    # atan2 holds for angles beyond a half-space.
+    solid: FloatArray = 2.0 * np.arctan2(triple, r_a * r_b * r_c + r_c * dots[0] + r_a * dots[1] + r_b * dots[2])
+    return solid
