@@ -85,7 +85,8 @@ class TiledRenderer:
         """
         check_outside(self.ground.under, view.T_cam_body.camera_position_m)
         if not self.variant.is_wavefront:
-            return self._as_one_mesh(view).render(view)
+            whole = MitsubaRenderer(self.one_mesh(view), self.brdf, self.samples_per_pixel, "flat", self.variant)
+            return whole.render(view)
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
         window = body_window(view, self.outline_m)
         if window is not None:
@@ -206,9 +207,6 @@ class TiledRenderer:
         # By Dr.Jit in single precision, as the wavefront tracer does.
         value = np.pi * brdf_value(self.brdf, mu0, mu, g, drjit_math(dr))
         return np.asarray(np.broadcast_to(np.asarray(value, dtype=np.float32), cos_i.shape) * cos_i, dtype=np.float32)
-
-    def _as_one_mesh(self, view: View) -> MitsubaRenderer:
-        return MitsubaRenderer(self.one_mesh(view), self.brdf, self.samples_per_pixel, "flat", self.variant)
 
     def one_mesh(self, view: View) -> TriangleMesh:
         """Return all facets that a view is rendered with, as one mesh."""

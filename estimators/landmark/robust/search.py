@@ -108,7 +108,8 @@ class Mixture:
         points = self._in_camera(poses)
         uv = self._camera.project(points)
         by_point = self._camera.jacobian(points)
-        covariance = self._image_covariances(poses, by_point, corner_sigma_px)
+        by_body = by_point @ poses.rotations[:, None]
+        covariance = by_body @ self._covariances_m2 @ np.swapaxes(by_body, 2, 3) + corner_sigma_px**2 * np.eye(2)
         information, determinant = inverse_and_determinant(covariance)
         # Corners beyond five standard deviations of the median landmark have no weight: the tree takes one radius for
         # all.
@@ -157,11 +158,6 @@ class Mixture:
             if np.abs(self.project(poses) - before).max() < tolerance_px:
                 break
         return poses
-
-    def _image_covariances(self, poses: PoseStack, by_point: FloatArray, corner_sigma_px: float) -> FloatArray:
-        by_body = by_point @ poses.rotations[:, None]
-        projected: FloatArray = by_body @ self._covariances_m2 @ np.swapaxes(by_body, 2, 3)
-        return projected + corner_sigma_px**2 * np.eye(2)
 
 
 class SearchOptions(SpecModel):
