@@ -91,6 +91,7 @@ class DataSet(SpecModel):
         return asked in {here / name for name in self.file_names} if self.file_names else here in asked.parents
 
 
+@lru_cache(maxsize=4)
 def read_registry(path: Path) -> dict[str, DataSet]:
     """Read data sets from a YAML file, by name.
 
@@ -103,14 +104,9 @@ def read_registry(path: Path) -> dict[str, DataSet]:
     return found
 
 
-@lru_cache(maxsize=4)
-def _read_once(path: Path) -> dict[str, DataSet]:
-    return read_registry(path)
-
-
 def datasets() -> dict[str, DataSet]:
     """Return all data sets by name."""
-    return _read_once(REGISTRY)
+    return read_registry(REGISTRY)
 
 
 def datasets_providing(paths: list[str]) -> list[DataSet]:
