@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import inner, kernel
-from boresight.scenarios.dynamics.harmonics import (
+from boresight.scenarios.dynamics.gravity import (
     Harmonics,
     HarmonicTable,
     derivative,

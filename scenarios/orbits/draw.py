@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import UniformRotation
-from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.gravity import Harmonics
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
 from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, draw_pointing, propagate_truth

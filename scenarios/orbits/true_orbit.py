@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField
-from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.gravity import Harmonics
 from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View

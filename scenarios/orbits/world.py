@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
-from boresight.scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics, normalisation, solid_harmonics
+from boresight.scenarios.dynamics.gravity import Harmonics, homogeneous_harmonics, normalisation, solid_harmonics
 from boresight.scenarios.dynamics.propagation import radiation_pressure
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, plane_axes

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation, differentiate
-from boresight.scenarios.dynamics.gravity import Polyhedron
-from boresight.scenarios.dynamics.harmonics import (
+from boresight.scenarios.dynamics.gravity import (
     Harmonics,
+    Polyhedron,
     homogeneous_harmonics,
     outer_harmonics,
     term_count,

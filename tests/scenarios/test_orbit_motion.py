@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
-from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.gravity import Harmonics
 from boresight.scenarios.dynamics.propagation import (
     OrbitLostError,
     PiecewiseAcceleration,
