@@ -103,6 +103,17 @@ class SlamMap:
         # An adjustment has determined their distances.
         self.guessed.difference_update(tracks)
 
+    def problem(self, views: Sequence[int], tracks: Sequence[int]) -> Adjustment:
+        """Return the adjustment of ``views`` and ``tracks`` (sorted) by pixels and distances, in which all are free."""
+        return Adjustment(
+            camera=self.camera,
+            R_cam_body=self.attitudes(views),
+            pixels=self.pixels(views, tracks),
+            free_views=np.ones(len(views), dtype=np.bool_),
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=self.distances(views, tracks),
+        )
+
     def adjust(
         self, problem: Adjustment, views: Sequence[int], tracks: Sequence[int], rule: StoppingRule
     ) -> AdjustmentSolution:

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Distances
+from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Distances
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule, reduced_rank_deficiency
 from boresight.estimators.slam.association.outliers import OutlierGate
@@ -321,14 +321,11 @@ class _Window:
         slam_map.triangulate_new(tracks, seen)
         if len(tracks) < self.options.connectivity:
             raise LostError(f"tracks are lost: {len(tracks)} landmarks are seen twice in the window")
-        problem = Adjustment(
-            camera=slam_map.camera,
-            R_cam_body=slam_map.attitudes(views),
-            pixels=slam_map.pixels(views, tracks),
+        problem = replace(
+            slam_map.problem(views, tracks),
             # Of the seven freedoms of a monocular reconstruction the known attitudes fix three; the fixed oldest view
             # fixes the translation, and the depth gauge of eq. (5) the scale.
             free_views=np.arange(len(views)) > 0,
-            free_points=np.ones(len(tracks), dtype=np.bool_),
             distances=gauge_distances(slam_map, gauge, views, tracks),
         )
         # Step 2 of the paper, structure only: all views fixed.

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.problem import Adjustment, State
+from boresight.estimators.slam.adjustment.problem import State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
 from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -119,13 +119,9 @@ class DynamicWindow:
         durations = np.array([self._duration(view) for view in self.views[1:]])
         # From m/s^2 to m per T^2.
         acceleration = self.forces.noise_m_s2 * self.field.time_s**2
-        vision = Adjustment(
-            camera=self.slam_map.camera,
-            R_cam_body=self.slam_map.attitudes(self.views),
-            pixels=self.slam_map.pixels(self.views, tracks),
+        vision = replace(
+            self.slam_map.problem(self.views, tracks),
             free_views=free[0],
-            free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=self.slam_map.distances(self.views, tracks),
             kept_points=kept,
             frozen=State(values_or_nan(first.positions_m, self.views), values_or_nan(first.points_m, tracks)),
         )

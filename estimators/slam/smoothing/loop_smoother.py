@@ -130,13 +130,9 @@ class GlobalMap:
         free = np.ones(len(views), dtype=np.bool_)
         # A first position without error is fixed, and has no prior.
         free[0] = bool(np.any(self.first_covariance_m2))
-        problem = Adjustment(
-            camera=slam_map.camera,
-            R_cam_body=slam_map.attitudes(views),
-            pixels=slam_map.pixels(views, tracks),
+        problem = replace(
+            slam_map.problem(views, tracks),
             free_views=free,
-            free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=slam_map.distances(views, tracks),
             motions=slam_map.motions(views) if self.motion else Motions(),
             prior=QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2) if free[0] else None,
             kept_points=np.isin(tracks, sorted(kept)),

@@ -202,13 +202,9 @@ class WindowSmoother:
         free_views = np.ones(len(self.views), dtype=np.bool_)
         # Later oldest views are free: the prior of marginalisation holds them.
         free_views[0] = self.views[0] != 0 or self.first_is_free
-        return Adjustment(
-            camera=self.slam_map.camera,
-            R_cam_body=self.slam_map.attitudes(self.views),
-            pixels=self.slam_map.pixels(self.views, tracks),
+        return replace(
+            self.slam_map.problem(self.views, tracks),
             free_views=free_views,
-            free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=self.slam_map.distances(self.views, tracks),
             motions=self.slam_map.motions(self.views) if self.options.motion else Motions(),
             prior=prior,
             frozen=frozen,
