@@ -24,8 +24,16 @@ from boresight.scenarios.data import find_data_folder
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, View
 from boresight.scenarios.spec.scenario import ImageSetSpec, SpiceSpec
-from boresight.scenarios.spice.geometry import ApparentGeometry, SpiceNames, apparent_geometry
-from boresight.scenarios.spice.kernels import SPICE_ERRORS, Constants, find_kernels, loaded_kernels, spice_message
+from boresight.scenarios.spice import (
+    SPICE_ERRORS,
+    ApparentGeometry,
+    Constants,
+    SpiceNames,
+    apparent_geometry,
+    find_kernels,
+    loaded_kernels,
+    spice_message,
+)
 
 # Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01

@@ -30,7 +30,7 @@ from boresight.scenarios.observation import Frame
 from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.body import BodySpec
-from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
+from boresight.scenarios.spice import find_kernels, loaded_kernels
 
 IMAGE = "images/near_msi/m0126865998f4_2p_iof.lbl"
 KERNELS = tuple(

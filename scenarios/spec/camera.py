@@ -146,7 +146,7 @@ class CameraSpec(SpecModel):
         if self.principal_point_px is not None:
             raise ValueError("principal_point_px has no part where the camera is that of a kernel: leave it out")
         try:
-            from boresight.scenarios.spice.kernels import read_camera  # spiceypy is not always installed
+            from boresight.scenarios.spice import read_camera  # spiceypy is not always installed
 
             folders, size_px = (info.context or {}).get("folders", ()), (self.width_px, self.height_px)
             read = read_camera(self.spice.kernels, self.spice.instrument, size_px, folders)

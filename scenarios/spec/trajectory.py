@@ -259,7 +259,7 @@ class FlownSpec(SpecModel):
     def _of_source(self, folders: Sequence[Path], surface_m: Callable[[FloatArray], float] | None) -> StatesSpec:
         """Read or compute the states; ``surface_m`` returns the distance of the body's surface along a unit vector."""
         if self.spice is not None:
-            from boresight.scenarios.spice.geometry import spice_states  # spiceypy is not always installed
+            from boresight.scenarios.spice import spice_states  # spiceypy is not always installed
 
             return spice_states(self.spice, folders, spin=self.reads_spin)
         if self.descent is not None:

@@ -43,7 +43,7 @@ from boresight.scenarios.load import canonical_json, digest, file_kind, load_cam
 from boresight.scenarios.load.yaml_text import parse_yaml
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.campaign import grid_cells
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice import loaded_kernels
 
 SEEDS = Path(__file__).with_name("seeds")
 Read = Callable[[bytes, Path], object]

@@ -25,8 +25,7 @@ from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, Triangl
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.brdf import LambertSpec
 from boresight.scenarios.spec.scenario import ImageSetSpec
-from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice import SpiceNames, apparent_geometry, loaded_kernels
 
 AMICA, MSI = data_path("spice/hayabusa_amica_st_2458542208"), data_path("spice/near_msi_m0126888978")
 MSI_IMAGE = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")

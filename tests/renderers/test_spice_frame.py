@@ -9,7 +9,7 @@ import pytest
 import spiceypy
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.spice.kernels import check_binary, loaded_kernels
+from boresight.scenarios.spice import check_binary, loaded_kernels
 
 _SEGMENTS = 30  # more than the 25 that one record tells of
 

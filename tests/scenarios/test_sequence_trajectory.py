@@ -19,7 +19,7 @@ from boresight.scenarios.sequences.track_simulation import Visibility, simulate_
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.tables import columns_of
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice import loaded_kernels
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 GROUND = SphereGround(190.0)

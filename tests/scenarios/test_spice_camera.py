@@ -11,7 +11,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import canonical_json, load_scenario
 from boresight.scenarios.spec.scenario import ScenarioSpec
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice import loaded_kernels
 
 # 1024 x 512 pixels of 14 um behind 150 mm; the boresight is a quarter of the height above the middle.
 FOCAL = 150.0 / 0.014

@@ -26,8 +26,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import canonical_json, digest, load_scenario
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.trajectory import RotationSpec
-from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice import SpiceNames, apparent_geometry, loaded_kernels
 
 TIMES = np.array([-7200.0, 0.0, 600.0, 90000.0])
 POSITIONS = np.array([[2000.0, 0.0, 100.0], [0.0, -1500.0, 0.0], [300.0, 400.0, -1200.0], [-900.0, 900.0, 900.0]])

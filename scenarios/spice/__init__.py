@@ -1,1 +1,0 @@
-"""SPICE kernels, and the geometry of missions that they hold."""
