@@ -23,7 +23,7 @@ from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.dynamics.propagation import OrbitLostError
-from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 from boresight.scenarios.orbits.data import OrbitData
 
 # Weight of the a priori position, against 1 for each line of sight: it fixes a point only where rays are parallel.

@@ -16,7 +16,7 @@ from boresight.scenarios.data import find_data_file
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences.draw import SequenceTruth
 from boresight.scenarios.sequences.ground import MeshGround

@@ -33,7 +33,7 @@ from boresight.estimators.slam.association.outliers import residual_squares
 from boresight.estimators.slam.association.prediction import line_information
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
-from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 
 RULE = StoppingRule(1e-6)
 REFERENCED = (

@@ -20,7 +20,7 @@ from boresight.scenarios.geometry import (
     pixel_from_opencv,
     pixel_to_opencv,
 )
-from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 from boresight.scenarios.spec.camera import CameraSpec
 
 CAMERA = Camera(640, 480, 700.0, 710.0, 318.0, 243.0)

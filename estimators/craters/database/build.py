@@ -20,7 +20,7 @@ from boresight.estimators.craters.database.landmarks import (
 from boresight.estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
 from boresight.estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 
 _PASSES = 6
 

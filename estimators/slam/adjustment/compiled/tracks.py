@@ -77,7 +77,7 @@ def triangulate(origins_m: FloatArray, rays: FloatArray, begin: IndexArray, dept
     """
     points_m = np.empty((len(begin) - 1, 3))
     for p in range(len(begin) - 1):
-        # Sums of I - d d' and (I - d d') o; see `scenarios.geometry.triangulation.triangulation_equations`.
+        # Sums of I - d d' and (I - d d') o; see `scenarios.geometry.camera.triangulation_equations`.
         xx, xy, xz, yy, yz, zz, x, y, z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(begin[p], begin[p + 1]):
             a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
