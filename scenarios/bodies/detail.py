@@ -281,7 +281,7 @@ def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntA
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
     # Directions are smoothed on the coarse mesh, so that they do not depend on the number of facets.
     edges = find_edges(coarse_faces)
-    coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())
+    coarse_edge_m = float(edges.lengths(coarse_m).mean())
     # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.
     smoothing = min(_MAX_SMOOTHING_ROUNDS, int(np.ceil((2.0 * _relief_m(spec) / coarse_edge_m) ** 2)))
     up = unit(smoothed(vertex_normals(coarse_m, coarse_faces), edges, smoothing))

@@ -200,8 +200,7 @@ def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh
     """
     if isinstance(spec, FurtherHeightErrorSpec):
         mesh = with_height_error(mesh, spec.on)
-    ends = find_edges(mesh.faces).ends
-    edge_m = float(np.linalg.norm(mesh.vertices_m[ends[:, 0]] - mesh.vertices_m[ends[:, 1]], axis=1).mean())
+    edge_m = float(find_edges(mesh.faces).lengths(mesh.vertices_m).mean())
     band = Band(spec.max_wavelength_m, spec.min_wavelength_m, spec.hurst)
     field, _ = fractal_field(np.asarray(mesh.vertices_m), band, edge_m, np.random.SeedSequence(spec.seed))
     deviation = float(field.std())

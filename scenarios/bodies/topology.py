@@ -23,6 +23,11 @@ class MeshEdges:
     ends: IndexArray
     of_face: IndexArray
 
+    def lengths(self, vertices: FloatArray) -> FloatArray:
+        """(E,) lengths of the edges between vertices (V, 3), in their unit."""
+        lengths: FloatArray = np.linalg.norm(vertices[self.ends[:, 1]] - vertices[self.ends[:, 0]], axis=1)
+        return lengths
+
 
 def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
     """Return one integer key for each half-edge (F * 3,), in its own direction and in the opposite one."""

@@ -187,11 +187,11 @@ def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArra
     """
     mesh = body.mesh
     edges = find_edges(mesh.faces)
-    length = np.linalg.norm(np.diff(mesh.vertices_m[edges.ends], axis=1), axis=-1)
-    rounds = tile_rounds(float(np.median(length)), spec.edge_m)
+    typical_m = float(np.median(edges.lengths(mesh.vertices_m)))
+    rounds = tile_rounds(typical_m, spec.edge_m)
     depth_m = spec.max_diameter_m * spec.depth_ratio[1]
     # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.
-    smoothing = int(np.ceil((depth_m / float(np.median(length))) ** 2))
+    smoothing = int(np.ceil((depth_m / typical_m) ** 2))
     up = unit(smoothed(vertex_normals(mesh.vertices_m, mesh.faces), edges, smoothing))
     control = interpolating_control(mesh.vertices_m, mesh.faces)
     fine, faces = refine(np.hstack([control, up]), mesh.faces, rounds)

@@ -136,8 +136,7 @@ def tile_rounds(typical_m: float, edge_m: float) -> int:
 
 def expected_size(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
     """Estimate the numbers of tiles and facets of a cratered surface on a mesh."""
-    length = np.linalg.norm(np.diff(mesh.vertices_m[find_edges(mesh.faces).ends], axis=1), axis=-1)
-    typical_m = float(np.median(length))
+    typical_m = float(np.median(find_edges(mesh.faces).lengths(mesh.vertices_m)))
     rounds = tile_rounds(typical_m, spec.edge_m)
     tiles = len(mesh.faces) * 4**rounds
     # A tile of n pieces along an edge has n^2 facets.
@@ -188,7 +187,7 @@ class Tiling:
     def of(cls, mesh: TriangleMesh, up: FloatArray, edge_m: float) -> Tiling:
         """Choose the pieces so that about 99 % of the facets' edges are at most ``edge_m`` long."""
         edges = find_edges(mesh.faces)
-        length = np.linalg.norm(mesh.vertices_m[edges.ends[:, 1]] - mesh.vertices_m[edges.ends[:, 0]], axis=1)
+        length = edges.lengths(mesh.vertices_m)
         return cls(mesh, up, edges, np.maximum(np.ceil(length / (SHORTENED * edge_m)), 1.0).astype(np.int64))
 
     @cached_property
@@ -276,5 +275,4 @@ class Tiling:
     @cached_property
     def bulge_m(self) -> float:
         """Bound of the depth to which a sphere can enter a tile between its corners: half the longest edge."""
-        ends = self.mesh.vertices_m[self.edges.ends]
-        return 0.5 * float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max())
+        return 0.5 * float(self.edges.lengths(self.mesh.vertices_m).max())
