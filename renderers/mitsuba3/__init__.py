@@ -1,19 +1,16 @@
 """Rendering with Mitsuba 3 (images, shadows, de-projection) by its CUDA, LLVM or scalar variant."""
 
 from boresight.renderers.mitsuba3.bsdf import register_bsdfs
-from boresight.renderers.mitsuba3.llvm import LlvmSearch, find_llvm
-from boresight.renderers.mitsuba3.rays import check_outside
+from boresight.renderers.mitsuba3.llvm import find_llvm
 from boresight.renderers.mitsuba3.renderer import MitsubaRenderer
 from boresight.renderers.mitsuba3.tiled import BodyRenderer, TiledRenderer, renderer_version
 from boresight.renderers.mitsuba3.variant import Variant, choose_variant, code_generator, gpu_status, limit_threads
 
 __all__ = [
     "BodyRenderer",
-    "LlvmSearch",
     "MitsubaRenderer",
     "TiledRenderer",
     "Variant",
-    "check_outside",
     "choose_variant",
     "code_generator",
     "find_llvm",

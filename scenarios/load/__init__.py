@@ -11,7 +11,6 @@ from boresight.scenarios.load.files import (
     load_scenario,
     names_in,
     scenario_names,
-    validated,
 )
 from boresight.scenarios.load.keys import json_schema
 from boresight.scenarios.load.merge import parse_override
@@ -32,5 +31,4 @@ __all__ = [
     "names_in",
     "parse_override",
     "scenario_names",
-    "validated",
 ]

@@ -8,8 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from boresight.renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
-from boresight.renderers.brdf.laws import h_function, henyey_greenstein, opposition_surge
+from boresight.renderers.brdf import NUMPY, brdf_value
+from boresight.renderers.brdf.laws import (
+    HapkeParameters,
+    OrenNayarParameters,
+    h_function,
+    hapke,
+    henyey_greenstein,
+    opposition_surge,
+    oren_nayar,
+)
 from boresight.scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
 
 HAPKES = [

@@ -15,7 +15,8 @@ from astropy.io import fits
 from mission_data import data_path, needs_data
 from scipy.spatial.transform import Rotation
 
-from boresight.renderers.images import PosedImageSet, read_image
+from boresight.renderers.images import PosedImageSet
+from boresight.renderers.images.pixels import read_image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import load_scenario

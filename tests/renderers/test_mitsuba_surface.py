@@ -10,8 +10,8 @@ import trimesh
 from mission_data import data_path, needs_data
 from scipy.spatial import Delaunay
 
-from boresight.renderers.mitsuba3 import MitsubaRenderer, check_outside
-from boresight.renderers.mitsuba3.rays import PixelWindow, body_window, outline_points
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.renderers.mitsuba3.rays import PixelWindow, body_window, check_outside, outline_points
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.spec.brdf import LambertSpec

@@ -8,10 +8,10 @@ from small_craters import small_ground, small_view
 
 from boresight.renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
 from boresight.renderers.mitsuba3.tiled import tiles_casting, tiles_seen
-from boresight.scenarios.craters import Rims, crater_truth
+from boresight.scenarios.craters import crater_truth
 from boresight.scenarios.craters.ray_culling import RayProjection, candidate_facets
 from boresight.scenarios.craters.tiles import overlap
-from boresight.scenarios.craters.truth import RIM_POINTS
+from boresight.scenarios.craters.truth import RIM_POINTS, Rims
 from boresight.scenarios.geometry import TriangleMesh, View, project_circles
 from boresight.scenarios.spec.brdf import LambertSpec
 

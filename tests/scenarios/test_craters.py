@@ -19,11 +19,11 @@ from boresight.renderers.mitsuba3.scene import build_shape
 from boresight.renderers.mitsuba3.variant import load_mitsuba
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.bodies.topology import is_closed
-from boresight.scenarios.craters import Craters, Tiling, build_surfaces, cratered_surface, draw_craters, surface
+from boresight.scenarios.craters import build_surfaces, cratered_surface, surface
 from boresight.scenarios.craters.kernels import add_octave, profile_height
-from boresight.scenarios.craters.relief import REACH, Profiles, crater_relief
+from boresight.scenarios.craters.relief import REACH, Craters, Profiles, crater_relief, draw_craters
 from boresight.scenarios.craters.surface import lower_envelope, smooth_tiles
-from boresight.scenarios.craters.tiles import check_size, expected_size
+from boresight.scenarios.craters.tiles import Tiling, check_size, expected_size
 from boresight.scenarios.craters.truth import CraterTruth, find_rims
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, TriangleMesh
