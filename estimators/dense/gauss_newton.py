@@ -61,7 +61,7 @@ class RegistrationOptions(SpecModel):
         ),
         min_length=1,
     )
-    gradient: Literal["autodiff", "differences"] | None = Field(
+    gradient: Gradient | None = Field(
         None,
         description="Derivatives by the renderer, or by differences of twelve renderings; default: by the renderer if"
         " the Mitsuba variant supports it",

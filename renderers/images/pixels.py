@@ -6,10 +6,13 @@ import re
 import struct
 import warnings
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,11 +21,6 @@ from boresight.scenarios.reading import MOST_PIXELS
 
 if TYPE_CHECKING:
     from astropy.io import fits
-
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-import cv2
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 BITMAP_SUFFIXES = (".png", ".tif", ".tiff")
@@ -42,22 +40,6 @@ _FAULTS = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError, RecursionError,
     RuntimeError, TypeError, ValueError, struct.error, zlib.error,
 )  # fmt: skip
-
-
-def read_fits(content: bytes, path: Path) -> NDArray[np.generic]:
-    """Read the first image of a FITS file, (H, W), scaled as its header says.
-
-    Raise `BoresightError` if the file is damaged or holds no image of two dimensions.
-    """
-    return _fits(content, path)[0]
-
-
-def read_fits_header(content: bytes, path: Path) -> dict[str, object]:
-    """Read the keywords of a FITS file: those of the primary header, overridden by those of the first image.
-
-    Raise `BoresightError` as `read_fits`.
-    """
-    return _fits(content, path)[1]
 
 
 def _check_axes(content: bytes, path: Path) -> None:
@@ -81,8 +63,12 @@ def _keywords(header: fits.Header) -> dict[str, object]:
     return dict(reversed(list(header.items())))
 
 
-def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, object]]:
-    """Read the first image and the keywords from memory, as astropy leaves a damaged file open."""
+def read_fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, object]]:
+    """Read the first image of a FITS file, (H, W), scaled as its header says, and the keywords.
+
+    These are those of the primary header, overridden by those of the image. The file is read from memory, as astropy
+    leaves a damaged one open. Raise `BoresightError` if it is damaged or holds no image of two dimensions.
+    """
     # Imported here, as astropy takes an eighth of the start-up time and most runs read no FITS file.
     from astropy.io import fits
     from astropy.io.fits.hdu.compressed._compression import CfitsioException  # derives from Exception directly
@@ -156,7 +142,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
     if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
         raise BoresightError(f"{path}: not a format that is read: {', '.join((*BITMAP_SUFFIXES, *FITS_SUFFIXES))}")
     content = read_bytes(path)
-    image = read_fits(content, path) if suffix in FITS_SUFFIXES else _bitmap(content, path)
+    image = read_fits(content, path)[0] if suffix in FITS_SUFFIXES else _bitmap(content, path)
     if image.ndim != 2:
         raise BoresightError(f"{path}: a grey image has rows and columns alone, this one has shape {image.shape}")
     return finite_float32(image, path)

@@ -22,7 +22,7 @@ from boresight.renderers.images.pds3 import (
     pixel_file,
 )
 from boresight.renderers.images.pds3 import read_pixels as read_pds3_pixels
-from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_fits_header
+from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.reading import LARGEST_NUMBER
 
@@ -158,7 +158,7 @@ class ImageProduct:
         Raise `BoresightError` if they cannot be read, or are not finite.
         """
         if self.path.suffix.lower() in FITS_SUFFIXES:
-            return finite_float32(read_fits(read_bytes(self.path), self.path), self.path)
+            return finite_float32(read_fits(read_bytes(self.path), self.path)[0], self.path)
         if self.label is None:
             raise BoresightError(f"{self.path}: no PDS3 label says how the pixels are stored")
         return finite_float32(read_pds3_pixels(self.label), self.path)
@@ -176,7 +176,7 @@ def open_product(path: Path) -> ImageProduct:
     label = _label(path)
     image = path if label is None or suffix in FITS_SUFFIXES else pixel_file(label)
     is_fits = image.suffix.lower() in FITS_SUFFIXES
-    header = read_fits_header(read_bytes(image), image) if is_fits else {}
+    header = read_fits(read_bytes(image), image)[1] if is_fits else {}
     files = dict.fromkeys([image, *([] if label is None else [label.path])])
     return ImageProduct(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
 
