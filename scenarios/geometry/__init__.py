@@ -14,18 +14,18 @@ from boresight.scenarios.geometry.camera import Camera, SurfaceHits, View, pixel
 from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
 from boresight.scenarios.geometry.lens import OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.mesh import TriangleMesh
-from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, orbit_axes, plane_axes
+from boresight.scenarios.geometry.pose import Pose, angle_between, cross_matrix, look_at, orbit_axes, plane_axes
 
 __all__ = [
     "Camera",
     "Ellipses",
-    "FrameMismatchError",
     "OpenCVDistortion",
     "Pose",
     "RadialDistortion",
     "SurfaceHits",
     "TriangleMesh",
     "View",
+    "angle_between",
     "cross_matrix",
     "look_at",
     "orbit_axes",

@@ -23,6 +23,12 @@ def cross_matrix(vectors: FloatArray) -> FloatArray:
     return np.asarray(cross - np.swapaxes(cross, -1, -2), dtype=np.float64)
 
 
+def angle_between(first: FloatArray, second: FloatArray) -> float:
+    """Return the angle between two vectors (3,) of any length, rad."""
+    # The arc tangent keeps the digits of small angles, of which the arc cosine loses half.
+    return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
+
+
 def plane_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors (n, 3) perpendicular to each unit normal (n, 3); first, second, normal are right-handed."""
     # The coordinate axis farthest from the normal: the product cannot vanish.

@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.geometry import Camera, Pose, View, angle_between
 from boresight.scenarios.sequences.ground import LandmarkGround, SphereGround
 from boresight.scenarios.spec.sequence import TrackErrorsSpec, VisionSpec
 
@@ -149,9 +149,11 @@ def simulate_tracks(
     With ``by_scale`` tracks are lost by the change of scale too, as a camera sees it that comes nearer.
     """
     simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
-    changes = np.array([0.0, *(_change_deg(a.T_cam_body, b.T_cam_body) for a, b in itertools.pairwise(views))])
+    places = [view.T_cam_body.camera_position_m for view in views]
+    # Angles at the body's origin.
+    changes = np.array([0.0, *(np.degrees(angle_between(*pair)) for pair in itertools.pairwise(places))])
     if by_scale:
-        heights = visibility.ground.heights_m(np.array([view.T_cam_body.camera_position_m for view in views]))
+        heights = visibility.ground.heights_m(np.array(places))
         # A shift along the line of sight changes the view as one across it of the same share of the distance.
         changes[1:] = np.hypot(changes[1:], np.degrees(np.diff(np.log(heights))))
     keeps = [vision.survival(change) for change in changes.tolist()]
@@ -266,13 +268,6 @@ def _identified_with(
     if landmark in last and luck > 1.0 - vision.recognised:
         return track, last[landmark]
     return None
-
-
-def _change_deg(before: Pose, pose: Pose) -> float:
-    """Angle at the body's origin between two camera positions."""
-    a, b = before.camera_position_m, pose.camera_position_m
-    # atan2 keeps the digits of small angles, which the arc cosine loses.
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def _survivors(

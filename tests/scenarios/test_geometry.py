@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import (
     Camera,
-    FrameMismatchError,
     Pose,
     TriangleMesh,
     View,
@@ -21,6 +20,7 @@ from boresight.scenarios.geometry import (
     pixel_to_opencv,
 )
 from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.pose import FrameMismatchError
 from boresight.scenarios.spec.camera import CameraSpec
 
 CAMERA = Camera(640, 480, 700.0, 710.0, 318.0, 243.0)

@@ -19,7 +19,7 @@ from boresight.estimators.craters.matching.transfer import (
 )
 from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, Image
-from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.geometry import Ellipses, angle_between
 from boresight.scenarios.spec.base import SpecModel
 
 _HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixels to this project's
@@ -71,8 +71,7 @@ class CorrelationMatcher(Configured[CorrelationOptions]):
         # Between the directions of the Sun in body axes, from the prior attitudes: there the shadows are cast, however
         # the camera is rolled.
         here, there = (each.frame.prior_T_cam_body.rotation.T @ each.frame.sun_dir_cam for each in (first, second))
-        # The arc tangent is accurate at small angles, where the arc cosine loses half of the digits.
-        angle_deg = np.degrees(np.arctan2(np.linalg.norm(np.cross(here, there)), here @ there))
+        angle_deg = np.degrees(angle_between(here, there))
         if angle_deg > self.options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)

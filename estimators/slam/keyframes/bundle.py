@@ -17,6 +17,7 @@ from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected
 from boresight.estimators.slam.keyframes.motion_filter import Propagator
 from boresight.estimators.slam.options import BundleOptions
+from boresight.scenarios.geometry import angle_between
 from boresight.scenarios.observation import Prediction, TrackFrame, TrackSequence
 
 _MAX_PLACED = 2
@@ -124,9 +125,7 @@ def trailing_views(
     # Shared landmarks are counted with the last trailing view, as in the paper, or with the oldest; the angle of table
     # 2 is between consecutive views, so with the last one in both cases.
     base = views[-1] if options.connected == "last-two" else views[0]
-    a, b = slam_map.positions_m[views[-1]], slam_map.positions_m[lead]
-    # The arc tangent is accurate for small angles, where the arc cosine loses half of the digits.
-    angle = float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    angle = angle_between(slam_map.positions_m[views[-1]], slam_map.positions_m[lead])
     if tracks.shared(base, lead) >= options.connectivity and angle <= np.radians(options.angle_max_deg):
         return views
     # The shift of section 3.2: T1 := T2, T2 := T3, T3 := T4, where T4 was the leading view of the step before.
