@@ -13,11 +13,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.campaign.imaging.observe import write_image
 from boresight.campaign.inspection.recompute import ORDER, Case, Choice, Recomputed, recompute, worst_cases
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.images import write_image
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.document import CasePage, write_document

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from boresight.renderers.detector import rectify
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.renderers.mitsuba3.rays import body_window, outline_points
+from boresight.renderers.rectify import rectify
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import (
     Camera,

@@ -10,11 +10,11 @@ from typing import Self
 import numpy as np
 
 from boresight.campaign.handles import own_copy
-from boresight.campaign.imaging.observe import ImageDraw, draw_image
 from boresight.campaign.imaging.world import TrialImage, World, open_world
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.images import ImageDraw, draw_image
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, MethodRunner
 from boresight.campaign.trial.score import (

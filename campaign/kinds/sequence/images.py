@@ -18,7 +18,7 @@ from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.vision.matching import ImageFeatures, find_features, match_descriptors
 from boresight.estimators.slam.vision.point_trackers import MatchedImage
 from boresight.estimators.slam.vision.tracker import TrackedFrame, Tracker
-from boresight.renderers.detector import rectify
+from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import Stream, estimator_generator, generator

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
-from boresight.campaign.imaging.observe import ImageDraw, draw_image
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
@@ -31,6 +30,7 @@ from boresight.campaign.trial.checks import (
     check_status,
     check_type,
 )
+from boresight.campaign.trial.images import ImageDraw, draw_image
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import TrialRunner, Unbuilt, check_options, try_build, unbuilt_products
 from boresight.campaign.trial.score import consistency, pose_columns, pose_error
