@@ -91,7 +91,6 @@ class DataSet(SpecModel):
         return asked in {here / name for name in self.file_names} if self.file_names else here in asked.parents
 
 
-@lru_cache(maxsize=4)
 def read_registry(path: Path) -> dict[str, DataSet]:
     """Read data sets from a YAML file, by name.
 
@@ -104,6 +103,7 @@ def read_registry(path: Path) -> dict[str, DataSet]:
     return found
 
 
+@lru_cache(maxsize=1)
 def datasets() -> dict[str, DataSet]:
     """Return all data sets by name."""
     return read_registry(REGISTRY)

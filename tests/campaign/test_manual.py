@@ -103,5 +103,9 @@ def test_a_list_imports_only_the_library_of_its_models_and_show_no_renderer():
     assert not loaded_by(*shown) & {"matplotlib", "mitsuba", "astropy"}
 
 
+def test_init_imports_no_more_than_the_list(tmp_path):
+    assert loaded_by(["init", str(tmp_path / "new")]) == {"pydantic"}
+
+
 def test_status_imports_only_what_reads_a_run(tiny_run):
     assert loaded_by(["status", str(tiny_run.folder)]) == {"pyarrow", "pydantic"}
