@@ -178,7 +178,7 @@ SEQUENCE_ESTIMATORS: Registry[SequenceEstimator] = Registry(
     parts=("name", "version", "from_options", "follow"),
 )
 EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam"}
-"""Estimators that need an extra of the installation, and the package of the same name that it installs."""
+"""Estimators of sequences that need an extra of the installation, and the package of the same name that it installs."""
 
 sequence_estimator_names, sequence_estimator_class = SEQUENCE_ESTIMATORS.names, SEQUENCE_ESTIMATORS.find
 

@@ -18,6 +18,8 @@ from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_IN_PART, EXIT_INTERRUPTED = 0, 2, 3, 130
+"""In part: an estimator raised, hung or returned nonsense in some trials, or runs that cannot be read were left out."""
+
 ALL_PAPERS = "all"
 COMPARISONS = Path("comparisons")
 WORST = 5

@@ -1,6 +1,6 @@
 """A campaign as its files describe it: its scenarios, and the data, the packages and the time that it takes here.
 
-Nothing of the code that runs it is imported. The time is by the rate of its last run here, which is in the cache.
+Nothing of the code that runs it is imported. The time is by the rate of its last run here, which is kept in the cache.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Global sensitivity analysis: the share of an outcome's variance that each varied key of a scenario explains.
+"""Global sensitivity: the share of an outcome's variance that each varied key of a scenario explains, and its figure.
 
 Sobol's indices by the estimators of Saltelli and Jansen (A. Saltelli et al., Variance based sensitivity analysis of
 model output, Computer Physics Communications 181, 2010), as SALib implements them: the first-order index is the share

@@ -442,7 +442,9 @@ def stages_figure(
 
 def ellipses_of(rows: pd.DataFrame | Sequence[Mapping[str, object]]) -> Ellipses:
     """Read rims from rows of a stored table."""
-    numbers = pd.DataFrame(rows, columns=_ELLIPSE).to_numpy(dtype=np.float64)
+    table = pd.DataFrame(rows)
+    # Tables without rows may have no columns; rows that lack one are an error.
+    numbers = table[_ELLIPSE].to_numpy(dtype=np.float64) if len(table) else np.empty((0, len(_ELLIPSE)))
     return Ellipses(numbers[:, :2], numbers[:, 2:4], np.radians(numbers[:, 4]))
 
 

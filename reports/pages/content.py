@@ -165,6 +165,7 @@ def headline(run: RunData) -> str:
         if one.prior is None:
             parts.append(f"{solved}, {median}")
         else:
+            # The share of n trials, made a number of trials again.
             success = round(one.n * (one.success.value or 0.0))
             parts.append(f"{solved}, success {success}/{one.n}, {median}, prior {number(one.prior)}{unit}")
     several = len(run.manifest.scenarios)

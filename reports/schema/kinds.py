@@ -119,6 +119,7 @@ _VISION = (
     Measure(name="track_error_px", label="RMS error of a coordinate of the others"),
     Measure(name="track_sigma_px", label="standard deviation of a coordinate that estimators are given"),
 )
+"""Single images, one pose each."""
 
 _SEQUENCE = KindSchema(
     row=(POSE_ERROR[0], *VIEW[:1], *DATABASE, *_ENDS),
@@ -170,6 +171,7 @@ _SEQUENCE = KindSchema(
     nees="epochs",
     frames=True,
 )
+"""A camera that is followed along an orbit or a trajectory."""
 
 
 MISSED, FALSE_ALARMS, CENTRE_ERROR = "missed_share", "false_alarm_share", "centre_error_px"
@@ -267,6 +269,7 @@ _DETECTION = KindSchema(
         " independent (Student's t over them), so that they tell of other worlds too."
     ),
 )
+"""Images with their true craters, and what each detector finds."""
 
 _MATCHING = KindSchema(
     row=VIEW,
@@ -308,6 +311,7 @@ _ORBIT_ROW: Columns = (
     number("position_sigma_m", "RMS position error at the epoch that the covariance foretells"),
     *VIEW[:1],
 )
+"""Pairs of images, whose craters are matched."""
 _ARC = ("arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px")
 ORBIT_COLUMNS = (*_ARC, "wrong_left_share", "right_edited_share")
 """Errors of an orbit in the table ``orbits``; the position error is that at the epoch."""
@@ -362,6 +366,7 @@ _ORBIT = KindSchema(
         " The body and its a priori shape are the same in all trials of a scenario."
     ),
 )
+"""An orbit that is determined from sightings and radiometric data."""
 
 _NAVIGATION = KindSchema(
     row=_ORBIT_ROW,
@@ -407,6 +412,7 @@ _NAVIGATION = KindSchema(
     metrics=_ORBIT_METRICS,
     nees="orbits",
 )
+"""Orbit determination from images, in which craters are detected and matched."""
 
 _SURVEY = KindSchema(
     tables={
@@ -438,6 +444,7 @@ _SURVEY = KindSchema(
     ),
     metrics=("detections_an_image", "few_craters_share", "similar_image_share", "hits_a_crater"),
 )
+"""Planned images."""
 
 SCHEMAS = {
     "crater-detection": _DETECTION,
@@ -450,4 +457,4 @@ SCHEMAS = {
     "sequence": _SEQUENCE,
     "single-image": _IMAGE,
 }
-"""By the kind of trial, in the order of their names."""
+"""By the kind of trial, in the order of their names, in which columns and tables are listed."""

@@ -1,4 +1,4 @@
-"""Pinhole camera of Rowell et al. (2015), equation (2), with the distortion of a lens; views and lines of sight."""
+"""Pinhole camera of Rowell et al. (2015), equation (2), with a lens; views, lines of sight and triangulation."""
 
 from __future__ import annotations
 

@@ -363,7 +363,8 @@ def test_the_files_hold_every_number(tmp_path):
     subjects = (tmp_path / "out" / "subjects.csv").read_text().splitlines()
     assert len(subjects) == 1 + (1 + 5 + 5) + (1 + 5)
     first = {path.name: path.read_bytes() for path in page.parent.iterdir()}
-    assert {"differences.csv", "consistency.csv", "compare.png", "compare.pdf"} < first.keys()
+    tables, pages = {"subjects.csv", "differences.csv", "consistency.csv"}, {"compare.md", "compare.png", "compare.pdf"}
+    assert tables | pages < first.keys()
     assert all(len(content) > 1000 for name, content in first.items() if name.endswith((".png", ".pdf")))
     again, _ = write_comparison(compare_runs([run]), tmp_path / "again", "boresight compare run")
     assert {path.name: path.read_bytes() for path in again.parent.iterdir()} == first
