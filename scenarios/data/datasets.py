@@ -103,10 +103,14 @@ def read_registry(path: Path) -> dict[str, DataSet]:
     return found
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
+def _read_once(path: Path) -> dict[str, DataSet]:
+    return read_registry(path)
+
+
 def datasets() -> dict[str, DataSet]:
     """Return all data sets by name."""
-    return read_registry(REGISTRY)
+    return _read_once(REGISTRY)
 
 
 def datasets_providing(paths: list[str]) -> list[DataSet]:
