@@ -83,7 +83,7 @@ class Pose:
     def from_quat_wxyz(
         cls, quat_wxyz: FloatArray, translation_m: FloatArray, to_frame: str = "cam", from_frame: str = "body"
     ) -> Pose:
-        """Build from a quaternion in the order (w, x, y, z), normalised here."""
+        """Build from a quaternion in the order (w, x, y, z), normalised here; Rowell et al. (2015), equation (8)."""
         rotation = _rotations().from_quat(np.asarray(quat_wxyz, dtype=np.float64), scalar_first=True).as_matrix()
         return cls(rotation, translation_m, to_frame, from_frame)
 
