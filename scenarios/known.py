@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
 from boresight.scenarios.spec.distribution import Law
@@ -21,6 +22,8 @@ REAL_TRACKS = (
     "The tracks are real: errors are against reference poses, which are not exact, and what is told beside the tracks"
     " is drawn about them"
 )
+_OF_IMAGES = ("", "single-image", "crater-detection", "landmark-database", "pose-convergence")
+"""Kinds of trial of single views; '' where a scenario is described without a campaign."""
 THRESHOLDS = (
     "The thresholds of the crater detectors were chosen in the world of eros-like-msi (its body, reflectance, camera,"
     " noise, renderer and crater statistics) on other craters and views; the network of crater-learned was trained on"
@@ -125,6 +128,8 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         unknown = ["shape", ALBEDO, "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
         sun = _errors(f"Sun as the pose {spec.images.truth} has it", {"": onboard.sun_error_deg})
         return Known((sun, *_pose(spec), *_nots(*unknown)), ("The images are real",), spec.images.aligned)
+    if experiment not in _OF_IMAGES:
+        raise BoresightError(f"experiment: {experiment!r}: nobody has said what is known on board in such trials")
     if experiment == "pose-convergence":  # landmark errors are drawn from the covariances that solvers use
         exact = _exacts("camera", "which landmark is which", "covariances that the landmarks are drawn from")
         return Known((*exact, *_pose(spec), *_nots("places of the landmarks")))

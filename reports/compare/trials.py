@@ -38,8 +38,9 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
     """Return all numbers by which trials of a run can be compared, each in the order of its rows; NaN for none.
 
     They are the errors of poses, what rows hold of whole sequences, ``error_after_K_m`` (of sequences, after K
-    revolutions), the errors of orbits, shares and errors of craters, and the numbers that estimators report. Signed
-    errors count by their size; errors of poses, orbits and craters are of trials with an estimate.
+    revolutions), the errors of orbits, shares and errors of craters, other metrics of the kind of trial that its rows
+    have, and the numbers that estimators report. Signed errors count by their size; all but the numbers reported and
+    those of sequences are of trials with an estimate.
     """
     rows, epochs, orbits, reported = run.rows, run.table("epochs"), run.table("orbits"), run.table("diagnostics")
     ok, found = rows["status"] == "ok", dict[str, pd.Series]()
@@ -56,6 +57,9 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
     for label, values in measured.items():
         if values.notna().any():
             found.setdefault(str(label), values.where(ok).abs())
+    for name in kind_schema(run.manifest.experiment).metrics:
+        if name in rows and rows[name].notna().any():
+            found.setdefault(name, rows[name].astype(float).where(ok).abs())
     once = reported.drop_duplicates([*TRIAL_KEY, "name"])
     numbers = once.pivot(index=TRIAL_KEY, columns="name", values="value")  # noqa: PD010  pivot_table drops NaN
     for label, values in in_order_of(rows, numbers.reset_index(), sorted(map(str, numbers))).items():

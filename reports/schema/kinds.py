@@ -119,7 +119,6 @@ _VISION = (
     Measure(name="track_error_px", label="RMS error of a coordinate of the others"),
     Measure(name="track_sigma_px", label="standard deviation of a coordinate that estimators are given"),
 )
-"""Single images, one pose each."""
 
 _SEQUENCE = KindSchema(
     row=(POSE_ERROR[0], *VIEW[:1], *DATABASE, *_ENDS),
@@ -311,7 +310,6 @@ _ORBIT_ROW: Columns = (
     number("position_sigma_m", "RMS position error at the epoch that the covariance foretells"),
     *VIEW[:1],
 )
-"""Pairs of images, whose craters are matched."""
 _ARC = ("arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px")
 ORBIT_COLUMNS = (*_ARC, "wrong_left_share", "right_edited_share")
 """Errors of an orbit in the table ``orbits``; the position error is that at the epoch."""

@@ -32,7 +32,6 @@ from boresight.scenarios.parquet import TableLayout
 FORMAT_VERSION = 3
 AFTER_REVOLUTIONS = re.compile(r"error_after_([1-9]\d*)_m")
 """Names of the position errors of sequences after so many revolutions."""
-_USUAL = "single-image"
 ALL_ROW_COLUMNS: Columns = tuple(
     {column.name: column for column in chain(COMMON_ROW, *(kind.row for kind in SCHEMAS.values()))}.values()
 )
@@ -45,8 +44,10 @@ TABLES: dict[str, Columns] = {
 
 
 def kind_schema(experiment: str) -> KindSchema:
-    """Return what a kind of trial stores and reports; one without columns of its own has those of single images."""
-    return SCHEMAS.get(experiment, SCHEMAS[_USUAL])
+    """Return what a kind of trial stores and reports; raise BoresightError if there is no such kind."""
+    if experiment not in SCHEMAS:
+        raise BoresightError(f"experiment: {experiment!r} has no columns; known are {', '.join(SCHEMAS)}")
+    return SCHEMAS[experiment]
 
 
 def columns_of(table: str, experiment: str = "") -> Columns:

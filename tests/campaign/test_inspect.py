@@ -23,6 +23,10 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named, kind_names
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer
 from boresight.reports.run.data import read_run
+from boresight.reports.schema.kinds import SCHEMAS
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.known import known_on_board
+from boresight.scenarios.load import load_scenario
 
 
 @pytest.fixture
@@ -137,7 +141,17 @@ def test_a_run_of_another_version_is_told_with_what_remakes_it(copied, refused):
 
 def test_every_folder_of_kinds_is_a_kind_of_its_name():
     assert [kind_named(name).name for name in kind_names()] == kind_names()
-    assert len(kind_names()) == 9
+
+
+def test_every_kind_says_what_it_stores_and_what_is_known_on_board():
+    assert set(SCHEMAS) == set(kind_names())
+    sections = {"sequence": "apophis-sphere-sequence", "orbit-determination": "eros-like-orbit"}
+    sections |= dict.fromkeys(("crater-navigation", "image-survey"), "eros-like-navigation")
+    sections["crater-matching"] = "eros-crater-pairs"
+    for name in kind_names():
+        assert known_on_board(load_scenario(sections.get(name, "quickstart")).spec, name).items
+    with pytest.raises(BoresightError, match="what is known on board in such trials"):
+        known_on_board(load_scenario("quickstart").spec, "limb-width")
 
 
 def test_every_kind_of_experiment_can_be_watched():
