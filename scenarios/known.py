@@ -122,7 +122,7 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         if spec.crater_pairs.images is not None:
             return Known((*known, *_unmodelled(spec)), (THRESHOLDS,))
         return Known((*known, *_nots("heights of craters above the shape")))
-    if spec.images is not None:
+    if spec.images is not None and spec.real:
         # No model of a real body is exact, but priors are drawn about the reference pose.
         onboard, lens = spec.onboard, ["lens"] if spec.camera.distortion is not None else []
         unknown = ["shape", ALBEDO, "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]

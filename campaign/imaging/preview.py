@@ -222,6 +222,8 @@ def images_of(spec: ScenarioSpec, trials: int) -> int:
     """Return how many images are rendered for so many trials; those of plans of an orbit are not counted."""
     if spec.viewpoint is not None:
         return trials
+    if spec.images is not None:
+        return trials // spec.images.noise_realisations if spec.images.rendered else 0
     if spec.crater_pairs is not None:
         return 0 if spec.crater_pairs.images is None else 2 * trials
     if spec.sequence is None or spec.sequence.images is None:

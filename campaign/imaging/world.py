@@ -125,6 +125,31 @@ class RealImageSource:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RenderedSetSource:
+    """Source of renderings of the views of real images: trial t has the view of image t modulo their number."""
+
+    images: ImageSet
+    imager: Imager
+
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
+        """Render the view of the trial's image and expose the detector."""
+        index = trial % len(self.images)
+        view = self.images.view(index)
+        # One rendering of a view serves all its trials.
+        image, from_store = self.imager.image(view, seed, index, generator(seed, Stream.DETECTOR, trial))
+        return TrialImage(image, view, {}, self.images.names[index], self.images.time_s(index), from_store)
+
+    def view(self, seed: int, trial: int) -> View:
+        """Return the view of the trial's image."""
+        del seed
+        return self.images.view(trial % len(self.images))
+
+    def flush(self) -> None:
+        """Write rendered images to the store."""
+        self.imager.flush()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class World:
     """A scenario with its body, renderer and image source; ``ground`` is the surface of a cratered body."""
 
@@ -132,7 +157,7 @@ class World:
     camera: Camera
     body: Body
     renderer: BodyRenderer
-    source: RenderedImageSource | RealImageSource
+    source: RenderedImageSource | RealImageSource | RenderedSetSource
     ground: CrateredSurface | None = None
 
 
@@ -150,7 +175,8 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     if spec.images is None:
         return None
     images = open_images(scenario)
-    images.check_images()
+    if spec.real:
+        images.check_images()
     return len(images) * spec.images.noise_realisations
 
 
@@ -204,6 +230,10 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     spec = scenario.spec
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
+    if spec.images is not None and spec.images.rendered:
+        imager = Imager.open(scenario, variant, Stream.TRUTH, spec.images)
+        shown = RenderedSetSource(open_images(scenario), imager)
+        return World(scenario, camera, body, imager.renderer, shown, imager.ground)
     if spec.images is not None:
         real, ground = spec.images, open_ground(scenario)
         renderer = open_renderer(scenario, variant, ground)

@@ -81,7 +81,9 @@ def make_manifest(
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
-        "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
+        "credits": sorted(
+            {s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.real and s.spec.images.credit}
+        ),
         "grid": _grid(campaign),
         "created": earlier.get("created") or now(),
         KEY: next_start(request.out),

@@ -56,6 +56,10 @@ class ImageSetSpec(SpecModel):
         description="Those of truth and also_score that were found by aligning renderings of the shape with the images:"
         " reports say that errors against them are correlated with those of methods that do the same",
     )
+    rendered: bool = Field(
+        False,
+        description="Render the views of the images with the pose of truth, through detector, in place of reading them",
+    )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
     keep_clear_px: tuple[Rectangle, ...] = Field(
         (),
@@ -72,6 +76,11 @@ class ImageSetSpec(SpecModel):
         unknown = [name for name in self.aligned if name not in prefixes]
         if unknown:
             raise ValueError(f"aligned names {unknown[0]}, which is neither truth nor in also_score")
+
+    @rule
+    def _renderings_have_one_pose(self) -> None:
+        if self.rendered and (self.also_score or self.aligned):
+            raise ValueError("rendered images have the pose of truth and no other: leave also_score and aligned empty")
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
@@ -240,6 +249,11 @@ class ScenarioSpec(SpecModel):
             raise ValueError(f"onboard.{idle[0]} has no part in a scenario with {self._kind}: leave it out")
 
     @property
+    def real(self) -> bool:
+        """Whether the images of single views are real."""
+        return self.images is not None and not self.images.rendered
+
+    @property
     def _kind(self) -> str:
         """Name of the one given section of those that exclude each other."""
         return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
@@ -296,9 +310,9 @@ class ScenarioSpec(SpecModel):
         rendered = self.viewpoint or (sequence and sequence.images) or (pairs and pairs.images)
         if self.lighting.brightness != 1.0 and not rendered and (imaging is None or imaging.detections == "drawn"):
             raise ValueError("lighting.brightness has no part where no image is rendered: leave it out")
-        if self.images is not None and self.detector is not None:
+        if self.real and self.detector is not None:
             raise ValueError("detector has no part in a scenario with images: they carry their own noise; leave it out")
         if self.images is not None and self.lighting != LightingSpec():
             raise ValueError("lighting has no part in a scenario with images: their table says where the Sun is")
-        if self.images is not None and self.sensors.aboard:
+        if self.real and self.sensors.aboard:
             raise ValueError("sensors has no part in a scenario with images: there is no exact truth to measure in")

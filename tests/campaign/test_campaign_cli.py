@@ -25,7 +25,7 @@ from undrawn import undrawn
 
 from boresight.campaign.cli import main, terminal
 from boresight.campaign.cli.terminal import ProgressListener
-from boresight.campaign.imaging.world import trial_limit
+from boresight.campaign.imaging.world import open_world, trial_limit
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products.databases import map_images
@@ -42,6 +42,7 @@ from boresight.reports.published import load_published
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data import DATA_VARIABLE
 from boresight.scenarios.data.datasets import datasets
+from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.load import json_schema, load_campaign, load_scenario, scenario_names
 
 
@@ -355,6 +356,37 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
     np.testing.assert_allclose(references["label"], 5.0)
     assert folder.read_manifest()["credits"] == ["A. N. Other"]
     assert "A. N. Other" in html_page(read_content(folder.path), ())
+
+
+def test_the_views_of_real_images_are_rendered_where_that_is_asked_for(tmp_path):
+    (tmp_path / "set").mkdir()
+    columns = ["qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"]
+    rows = [",".join(["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z", *(f"ref_{one}" for one in columns)])]
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / "set" / f"{number}.png"), np.zeros((40, 48), dtype=np.uint8))
+        rows.append(f"{number}.png,{number},0.6,0,-0.8,1,0,0,0,{100 * number},20,2000")
+    (tmp_path / "set" / "poses.csv").write_text("\n".join(rows) + "\n")
+    scene = "body: {shape: contact-binary}\ncamera: {width_px: 48, height_px: 40, fov_deg: 18.3}\n"
+    scene += "images: {folder: set, rendered: true, noise_realisations: 2, credit: A. N. Other}\n"
+    file = write_campaign(tmp_path, "scenarios: [scene, noisy]\nestimators: [prior]\ntrials: 6\nseed: 1\n", scene)
+    (tmp_path / "noisy.yaml").write_text(scene + "detector: {psf_sigma_px: 0.5}\n")
+    compute(file, tmp_path / "run", 6)
+    folder = RunFolder(tmp_path / "run")
+    assert folder.table("rows")["image"].tolist() == ["0.png", "1.png", "2.png"] * 4
+    assert folder.read_manifest()["credits"] == [], "no real image is shown"
+    assert "These are real images" not in html_page(read_content(folder.path), ())
+    plain, noisy = (
+        open_world(load_scenario(str(tmp_path / f"{name}.yaml")), choose_variant().name) for name in ("scene", "noisy")
+    )
+    for trial in range(3):
+        pose = Pose(np.eye(3), np.array([100.0 * trial, 20.0, 2000.0]))
+        expected = plain.renderer.render(View(plain.camera, pose, np.array([0.6, 0.0, -0.8])))
+        assert expected.max() > 0.0
+        np.testing.assert_array_equal(plain.source.trial_image(1, trial).image, expected)
+        np.testing.assert_array_equal(plain.source.trial_image(1, trial + 3).image, expected)
+        first, again = (noisy.source.trial_image(1, number).image for number in (trial, trial + 3))
+        assert not np.array_equal(first, again), "each trial has noise of its own"
+        assert np.corrcoef(first.ravel(), again.ravel())[0, 1] > 0.99
 
 
 def test_the_report_shows_the_worst_trials_and_how_to_see_all_of_them(tiny_run, tmp_path, capsys):

@@ -84,6 +84,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "images.truth": ("real", "third"),
     "images.also_score": ("real", "[third]"),
     "images.noise_realisations": ("real", "1"),
+    "images.rendered": ("spice", "true"),
     "crater_pairs.images.most_detections": (None, "1"),
     "sequence.vision.min_connection": ("sequence", "28"),
     "sequence.images.features": (None, "15"),

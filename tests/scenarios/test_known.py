@@ -235,6 +235,14 @@ def test_real_images_have_only_the_reference_pose_as_exact_knowledge():
     )
 
 
+def test_renderings_of_the_views_of_real_images_are_a_simulated_world():
+    told = ("images={truth: ref, also_score: [], aligned: [], rendered: true}", "detector={psf_sigma_px: 1}")
+    known = known_on_board(load_scenario("navcam67p-real", told).spec)
+    assert {"shape", "reflectance", "camera", "Sun"} < set(names(known, "exactly"))
+    assert known.remarks == known.aligned == ()
+    assert "noise" in names(known, "not")
+
+
 def test_real_tracks_have_a_reference_and_no_known_law_of_pixels():
     known = known_on_board(load_scenario("vesta-real-tracks").spec)
     assert "camera" not in names(known, "exactly")
@@ -250,6 +258,18 @@ def test_errors_that_accumulate_along_a_track_are_not_known():
     known = known_on_board(load_scenario("apophis-sphere-sequence", [errors]).spec)
     assert "laws of all errors but those of pixels" in names(known, "exactly")
     assert "pixel noise (0.6667 px are told, and nothing of errors that accumulate)" in known.line()
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("images.rendered=true", "leave also_score and aligned empty"),
+        ("detector={psf_sigma_px: 1}", "detector has no part in a scenario with images"),
+    ],
+)
+def test_real_images_and_renderings_of_their_views_are_not_mixed(override: str, message: str):
+    with pytest.raises(BoresightError, match=message):
+        load_scenario("navcam67p-real", [override])
 
 
 def test_only_poses_that_are_scored_can_be_called_aligned():

@@ -109,7 +109,7 @@ def fit_figures(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[Named
 
 def credit_lines(spec: ScenarioSpec) -> list[str]:
     """List the credits that figures with a scenario's images must carry."""
-    return [spec.images.credit] if spec.images and spec.images.credit else []
+    return [spec.images.credit] if spec.images and spec.real and spec.images.credit else []
 
 
 def median_trial(rows: pd.DataFrame) -> int | None:
