@@ -1,4 +1,4 @@
-"""``run``: run a campaign, or continue it."""
+"""``run``: run campaigns, or continue them."""
 
 from __future__ import annotations
 
@@ -11,24 +11,37 @@ from boresight.campaign.cli.terminal import ProgressListener, console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.manifest import Cluster
-from boresight.campaign.runs.start import start
+from boresight.campaign.runs.start import Start, start
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display
 
 
 def run_command(arguments: argparse.Namespace) -> int:
-    """Run or continue a campaign, and write its report."""
+    """Run or continue campaigns, one after the other, and write their reports."""
+    names: list[str] = arguments.names
+    if len(names) > 1 and arguments.out is not None:
+        raise BoresightError("--out is the folder of one run: leave it out where several campaigns are given")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise BoresightError(f"{twice[0]} is given twice: give each campaign once")
     if arguments.fetch or arguments.source:
         # Imported here: downloads take 0.3 s to import.
         from boresight.campaign.cli.fetch import bring_missing
 
-        bring_missing([arguments.name], arguments)
-    begun = start(
-        arguments.name, overrides=arguments.overrides, seed=arguments.seed, trials=arguments.trials,
-        until=arguments.until, jobs=arguments.jobs, out=arguments.out, variant=arguments.variant,
-        keep_images=arguments.keep_images, cluster=_cluster(arguments), trial_limit_s=arguments.trial_limit,
-        embedded=arguments.embedded, command=arguments.command,
-    )  # fmt: skip
+        bring_missing(names, arguments)
+    # What cannot run is refused before the first campaign runs.
+    ready = [
+        start(
+            name, overrides=arguments.overrides, seed=arguments.seed, trials=arguments.trials, until=arguments.until,
+            jobs=arguments.jobs, out=arguments.out, variant=arguments.variant, keep_images=arguments.keep_images,
+            cluster=_cluster(arguments), trial_limit_s=arguments.trial_limit, embedded=arguments.embedded,
+            command=arguments.command,
+        )
+        for name in names
+    ]  # fmt: skip
+    return max(_run(begun, arguments) for begun in ready)
+
+
+def _run(begun: Start, arguments: argparse.Namespace) -> int:
     campaign, request = begun.campaign, begun.request
     out = console()
     name, variant = campaign.spec.name, campaign.variant

@@ -358,6 +358,20 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
     assert "A. N. Other" in html_page(read_content(folder.path), ())
 
 
+def test_several_campaigns_run_one_after_the_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = "scenarios: [scene]\nestimators: [prior]\ntrials: 2\nseed: 1\n"
+    first = write_campaign(tmp_path, text, SCENE)
+    (tmp_path / "second.yaml").write_text(text.replace("seed: 1", "seed: 2"))
+    assert main(["run", str(first), "second.yaml", "--jobs", "1", "--no-report"]) == 0
+    made = {RunFolder(path).read_manifest()["name"]: RunFolder(path) for path in (tmp_path / "runs").iterdir()}
+    assert sorted(made) == ["second", first.stem]
+    errors = [folder.table("rows")["prior_position_error_m"].tolist() for folder in made.values()]
+    assert errors[0] != errors[1]
+    assert [len(one) for one in errors] == [2, 2]
+    assert main(["run", str(first), "missing.yaml"]) == 2
+
+
 def test_the_views_of_real_images_are_rendered_where_that_is_asked_for(tmp_path):
     (tmp_path / "set").mkdir()
     columns = ["qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"]
