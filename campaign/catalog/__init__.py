@@ -2,3 +2,6 @@
 
 PAPERS = ("cheng2003", "delpech2015", "rowell2015")
 """Papers, by first author and year."""
+
+PAGES = (*PAPERS, "reality")
+"""What `boresight figures` draws: papers, and real data next to simulated ones."""

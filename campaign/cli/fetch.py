@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
-from boresight.campaign.catalog import PAPERS
+from boresight.campaign.catalog import PAGES
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.data.fetch import bytes_to_come, check_space, fetch, state
 from boresight.campaign.runs.read import CATALOG, campaign_names, needs
@@ -49,14 +49,14 @@ def wanted(name: str) -> Wanted:
                 f" {one.folder}; published at {one.published}"
             )
         return Wanted((one,), ())
-    if name in PAPERS:
+    if name in PAGES:
         # Imported here: a paper's figures take 2 s.
         from boresight.campaign.papers.page import paper_called, paper_campaigns
 
         return wanted_by(paper_campaigns(paper_called(name)))
     if name in campaign_names() or Path(name).suffix in SUFFIXES:
         return wanted_by([name])
-    choices = [ALL, *PAPERS, *known, *campaign_names()]
+    choices = [ALL, *PAGES, *known, *campaign_names()]
     near = difflib.get_close_matches(name, choices, n=1)
     hint = f"did you mean {near[0]}?" if near else "see: boresight fetch --list"
     raise BoresightError(f"{name}: no such data set, campaign or paper; {hint}")

@@ -28,6 +28,7 @@ from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.paper import PaperLine, paper_grid, value_tally, write_paper
 from boresight.reports.pages.rich_tables import FittedTable
+from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import count_of
 from boresight.reports.verdicts import verdict_tally
 from boresight.scenarios.errors import BoresightError, display
@@ -94,6 +95,8 @@ def figures_command(arguments: argparse.Namespace) -> int:
         raise BoresightError(
             f"--runs {arguments.runs}: no such folder: give one that holds runs, or --run to make them"
         )
+    if arguments.paper not in PAPERS and arguments.paper != ALL_PAPERS and not arguments.fetch:
+        _refuse_without_data(arguments.paper, arguments.runs)
     parent = Path("figures") if scale == 1.0 else Path("figures") / f"draft-{scale:g}"
     if arguments.paper != ALL_PAPERS:
         written = _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
@@ -103,6 +106,19 @@ def figures_command(arguments: argparse.Namespace) -> int:
         written = [one for papers in among for one in _of_papers(papers, arguments)]
         console().print(f"all papers: {value_tally([line for one in written for line in one.lines])}")
     return EXIT_IN_PART if any(one.refused for one in written) else 0
+
+
+def _refuse_without_data(page: str, runs: Path) -> None:
+    """Refuse a page on real data where there are none, nor a run of them."""
+    paper = paper_called(page)
+    lacking = [
+        name for name in paper_campaigns(paper) if not all(one.found for one in needs(load_campaign(name, CATALOG)))
+    ]
+    if lacking and not gather(paper, runs).found:
+        raise BoresightError(
+            f"{page}: the data of {', '.join(lacking)} are missing: boresight fetch {page} brings them, or says where"
+            " they are"
+        )
 
 
 def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> list[_Written]:
@@ -139,6 +155,7 @@ class _Written:
     page: Path
     runs: int
     lines: Sequence[PaperLine]
+    tables: Sequence[Grid]
     figures: int
     refused: Sequence[str]
     missing: Sequence[str]
@@ -152,20 +169,26 @@ def _written(
         page = paper_page(paper_called(name), runs, jobs, scale, embedded=embedded)
     with writing(folder):
         place = write_paper(page, folder)
-    return _Written(name, place, page.runs, page.lines, len(page.document.figures), page.refused, page.missing)
+    return _Written(
+        name, place, page.runs, page.lines, page.document.grids, len(page.document.figures), page.refused, page.missing
+    )
 
 
 def _print(written: _Written, arguments: argparse.Namespace) -> None:
     """Print the table of a page, and what is not on it."""
     out = console()
-    if written.runs:
+    if written.runs and not written.lines:
+        for grid in written.tables:
+            out.print(FittedTable(grid))
+    elif written.runs:
         shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
         out.print(FittedTable(paper_grid(written.lines).keep(*shown)))
     for line in (*written.refused, *(written.missing if written.runs else _needed(written.paper, arguments))):
         out.print(line)
-    verdicts = verdict_tally(line.verdict for line in written.lines)
-    out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdicts}")
-    out.print(value_tally(written.lines))
+    if written.lines:
+        verdicts = verdict_tally(line.verdict for line in written.lines)
+        out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdicts}")
+        out.print(value_tally(written.lines))
     out.print(f"page: {written.page}")
 
 

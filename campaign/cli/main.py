@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn, cast
 
 from boresight.campaign import RUNS
-from boresight.campaign.catalog import PAPERS
+from boresight.campaign.catalog import PAGES
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 
@@ -178,7 +178,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _OVERRIDES,
     ),
     "figures": ("figures:figures_command", "draw every figure of a paper, and set every number beside ours",
-        _a("paper", "which paper, or all of them", choices=(*PAPERS, ALL_PAPERS)),
+        _a("paper", "which paper, all of them, or reality: real data next to simulated ones",
+           choices=(*PAGES, ALL_PAPERS)),
         _a("--runs", "where the runs are (default: runs)", _FILE, default=RUNS),
         _a("--out", "folder of the figures, of all papers that of their folders (default: figures/PAPER)", _FILE),
         _a("--run", "first run, or finish, the campaigns that are missing", _FLAG),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from boresight.campaign import RUNS
-from boresight.campaign.catalog import PAPERS
+from boresight.campaign.catalog import PAGES
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import CATALOG, campaign_names, needs
 from boresight.campaign.runs.resolve import reload
@@ -191,7 +191,8 @@ class Paper:
     """Definition of a paper's page.
 
     ``campaigns`` are in the order of its sections; those missing from the catalogue are ignored. ``methods`` are the
-    names of the paper's; other estimators of a run are not compared with it. ``grids`` returns further tables of a run.
+    names of the paper's; other estimators of a run are not compared with it. ``grids`` returns further tables of a run,
+    ``table`` those of several runs together.
     """
 
     title: str
@@ -199,15 +200,16 @@ class Paper:
     methods: tuple[str, ...]
     figures: tuple[PaperFigure, ...]
     grids: Callable[[FinishedRun], list[Grid]]
+    table: Callable[[Mapping[str, FinishedRun]], list[Grid]] = lambda found: []
 
 
 def paper_called(name: str) -> Paper:
-    """Return the paper of that name, one of `campaign.papers.PAPERS`.
+    """Return the paper of that name, one of `campaign.catalog.PAGES`.
 
     Raise BoresightError if there is none of that name.
     """
-    if name not in PAPERS:
-        raise BoresightError(f"{name!r} is no paper: choose one of {', '.join(PAPERS)}")
+    if name not in PAGES:
+        raise BoresightError(f"{name!r} is no paper: choose one of {', '.join(PAGES)}")
     return cast("Paper", import_module(f"boresight.campaign.papers.{name}").PAPER)
 
 
@@ -266,9 +268,9 @@ def paper_page(
         product="boresight figures",
         title=f"{paper.title}{' (embedded bodies)' if built_in else ''}",
         facts=[
-            ("Paper", "; ".join(sorted({one.source for one in comparisons.values()}))),
-            ("Values", value_tally(lines)),
-            ("Verdicts", verdict_tally(line.verdict for line in lines)),
+            *([("Paper", "; ".join(sorted({one.source for one in comparisons.values()})))] if comparisons else []),
+            *([("Values", value_tally(lines))] if lines else []),
+            *([("Verdicts", verdict_tally(line.verdict for line in lines))] if lines else []),
             *((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
         ],
         lists=[
@@ -276,7 +278,11 @@ def paper_page(
             ("Not there", missing),
             ("What is compared, and by which bounds", conditions),
         ],
-        grids=(paper_grid(lines), *(grid for run in found.values() for grid in paper.grids(run))),
+        grids=(
+            *([paper_grid(lines)] if lines else []),
+            *paper.table(found),
+            *(grid for run in found.values() for grid in paper.grids(run)),
+        ),
         figures=(*figures, *tables),
         credits=sorted({line for run in found.values() for line in run.manifest["credits"]}),
     )

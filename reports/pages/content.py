@@ -80,12 +80,12 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
             " from the frame on at which it ended: statistics after a revolution are over the trials that came so far,"
             " beside their number."
         )
-    sets = [spec["images"].get("rendered", False) for spec in run.manifest.scenarios.values() if spec.get("images")]
-    if not all(sets):
+    drawn = [spec["images"].get("rendered", False) for spec in run.manifest.scenarios.values() if spec.get("images")]
+    if not all(drawn):
         yield (
-            f"These are real images{', but for the scenarios with images.rendered' if any(sets) else ''}. The pose that"
-            " they are scored against is itself an estimate, and so is every further reference pose: neither is exact"
-            " truth, and each error below contains the reference's own error."
+            f"These are real images{', but for the scenarios with images.rendered' if any(drawn) else ''}. The pose"
+            " that they are scored against is itself an estimate, and so is every further reference pose: neither is"
+            " exact truth, and each error below contains the reference's own error."
         )
     if comparison is not None:
         yield f"Published values: {comparison.source}. {comparison.conditions}"

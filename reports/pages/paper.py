@@ -191,7 +191,11 @@ def write_paper(page: PaperPage, folder: Path) -> Path:
     for old in [path for pattern in patterns for path in folder.glob(pattern)]:
         if old.stem not in stems:
             old.unlink()
-    paper_table(page.lines).to_csv(folder / "table.csv", index=False, lineterminator="\n")
+    first = page.document.grids[:1]
+    table = (
+        paper_table(page.lines) if page.lines or not first else pd.DataFrame(first[0].rows, columns=first[0].columns)
+    )
+    table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
     return path
 
 

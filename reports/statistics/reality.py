@@ -1,0 +1,146 @@
+"""Real errors over simulated ones: what a simulation predicts of real images or tracks, and whether it came so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.intervals import FEW, LEVEL, content_rng, draw_counts
+from boresight.scenarios.arrays import FloatArray
+
+WITHIN = (0.7, 1.4)
+"""Ratios of the medians that count as predicted."""
+_CENTRAL = (0.05, 0.95)
+_TEXT = ("seen", "method", "in the central 90 %", "verdict")
+_NOTE = (
+    "Median position error of the trials with an estimate, in metres; of sequences that of the last frame. The interval"
+    " of 95 % of a ratio is that of resampled images, the same for both where both have them; where tracks share their"
+    f" images it is of the simulated trials alone. `as predicted`: it lies within {WITHIN[0]:g} to {WITHIN[1]:g};"
+    " `differs`: it lies outside; `open`: it does neither; `no interval`: fewer than ten images. The central 90 % are"
+    " those of the simulated errors. The real error also has that of the reference pose."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Errors of a method in a scenario: (n,) values, NaN without an estimate, and the independent unit of each."""
+
+    error_m: FloatArray
+    unit: NDArray[np.str_]
+
+    @classmethod
+    def of(cls, run: RunData, scenario: str, estimator: str) -> Side:
+        """Take the errors of a run."""
+        rows = run.rows[(run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator)]
+        error_m = rows["position_error_m"].where(rows["status"] == "ok").to_numpy(dtype=np.float64)
+        return cls(error_m, clusters_of(run, rows).astype(str))
+
+    @property
+    def found(self) -> FloatArray:
+        """The errors of the trials with an estimate."""
+        return self.error_m[np.isfinite(self.error_m)]
+
+    @property
+    def median_m(self) -> float:
+        """Median error; NaN without any."""
+        return float(np.median(self.found)) if len(self.found) else np.nan
+
+    def medians_m(self, names: NDArray[np.str_], counts: NDArray[np.int32]) -> FloatArray:
+        """(b,) medians where the unit ``names[c]`` is there ``counts[i, c]`` times; NaN without an estimate."""
+        ok = np.isfinite(self.error_m)
+        order = np.argsort(self.error_m[ok], kind="stable")
+        values, unit = self.error_m[ok][order], self.unit[ok][order]
+        if not len(values):
+            return np.full(len(counts), np.nan)
+        upto = counts[:, np.searchsorted(names, unit)].cumsum(axis=1)
+        half = 0.5 * upto[:, -1:]
+        low, high = (upto < half).sum(axis=1), (upto <= half).sum(axis=1)
+        last = len(values) - 1
+        middle = 0.5 * (values[np.minimum(low, last)] + values[np.minimum(high, last)])
+        return np.where(half[:, 0] > 0.0, middle, np.nan)
+
+
+def ratio_interval(real: Side, simulated: Side, *, shared: bool = False) -> tuple[float, float] | None:
+    """Interval of 95 % of the ratio of the medians, by resampling units; None with fewer than ten.
+
+    Units that both sides have, as images, are drawn once for both. ``shared``: all trials of the real side share their
+    data, and only those of the simulated one are drawn.
+    """
+    ours, theirs = np.unique(real.unit), np.unique(simulated.unit)
+    if len(theirs) < FEW or (not shared and len(ours) < FEW):
+        return None
+    rng = content_rng(real.error_m, simulated.error_m)
+    of_simulated = np.vstack(list(draw_counts(len(theirs), rng)))
+    if shared:
+        tops = np.full(len(of_simulated), real.median_m)
+    elif np.array_equal(ours, theirs):
+        tops = real.medians_m(ours, of_simulated)
+    else:
+        tops = real.medians_m(ours, np.vstack(list(draw_counts(len(ours), rng))))
+    ratios = tops / simulated.medians_m(theirs, of_simulated)
+    ratios = ratios[np.isfinite(ratios)]
+    tail = 50.0 * (1.0 - LEVEL)
+    low, high = np.percentile(ratios, [tail, 100.0 - tail]) if len(ratios) else (np.nan, np.nan)
+    return (float(low), float(high)) if np.isfinite([low, high]).all() else None
+
+
+def verdict(interval: tuple[float, float] | None) -> str:
+    """Say whether a ratio is as predicted, by its interval alone."""
+    if interval is None:
+        return "no interval"
+    low, high = interval
+    if low >= WITHIN[0] and high <= WITHIN[1]:
+        return "as predicted"
+    return "differs" if high < WITHIN[0] or low > WITHIN[1] else "open"
+
+
+def reality_rows(
+    seen: str, real: tuple[RunData, str], simulated: tuple[RunData, str], *, shared: bool = False
+) -> Iterator[dict[str, str]]:
+    """Yield a line for each estimator that a real and a simulated scenario, of a run each, have in common."""
+    labels = [set(run.rows.loc[run.rows["scenario"] == scenario, "estimator"]) for run, scenario in (real, simulated)]
+    for label in (one for one in real[0].manifest.estimators if one in labels[0] & labels[1] and one != CONTROL):
+        ours, theirs = Side.of(*real, label), Side.of(*simulated, label)
+        ends = np.quantile(theirs.found, _CENTRAL) if len(theirs.found) else (np.nan, np.nan)
+        ratio, interval = ours.median_m / theirs.median_m, ratio_interval(ours, theirs, shared=shared)
+        of_ratio = f" [{number(interval[0])}, {number(interval[1])}]" if interval else ""
+        yield {
+            "seen": seen,
+            "method": label,
+            "real": _printed(ours.median_m),
+            "ok, real": f"{len(ours.found)}/{len(ours.error_m)}",
+            "simulated": _printed(theirs.median_m),
+            "ok, simulated": f"{len(theirs.found)}/{len(theirs.error_m)}",
+            "in the central 90 %": "yes" if ends[0] <= ours.median_m <= ends[1] else "no",
+            "ratio [95 %]": _printed(ratio) + of_ratio,
+            "verdict": verdict(interval) if np.isfinite(ratio) else NO_VALUE,
+        }
+
+
+def reality_grid(rows: list[dict[str, str]]) -> Grid:
+    """Lay the lines out as one table."""
+    return row_grid("Real over simulated", rows, _TEXT, _NOTE)
+
+
+def _printed(value: float) -> str:
+    return number(float(value)) if np.isfinite(value) else NO_VALUE
+
+
+def levels_of(run: RunData, axes: Mapping[str, str]) -> dict[tuple[str, ...], str]:
+    """Return the scenarios of a grid's levels: those of ``axes`` (name: level) fixed, by the levels of the others."""
+    grid = run.manifest.grid
+    if grid is None:
+        return {}
+    rest = [axis.name for axis in grid.axes if axis.name not in axes]
+    return {
+        tuple(one.levels[name] for name in rest): one.name
+        for one in grid.scenarios
+        if all(one.levels.get(axis) == level for axis, level in axes.items())
+    }
