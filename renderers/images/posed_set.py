@@ -198,7 +198,9 @@ class PosedImageSet:
         """
         path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
         folder = path.parent
-        table = read_table(path, (spec.truth, *spec.also_score))
+        named = (spec.truth, *spec.also_score)
+        moved = {one.name: one.of for one in spec.moved}
+        table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named)))
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:
             raise BoresightError(f"{path}: file: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
@@ -227,9 +229,16 @@ class PosedImageSet:
         Raise `BoresightError` if the scenario does not name the prefix in ``truth`` or ``also_score``.
         """
         prefix = self.spec.truth if prefix is None else prefix
-        if prefix not in self.table.poses:
-            raise BoresightError(f"images: no poses {prefix!r} were read, only {', '.join(self.table.poses)}")
-        return View(self.camera, self.table.poses[prefix][index], self.table.sun_dirs_body[index])
+        moved, sun_dir = self.spec.place_of(prefix), self.table.sun_dirs_body[index]
+        of = prefix if moved is None else moved.of
+        if of not in self.table.poses:
+            raise BoresightError(f"images: no poses {of!r} were read, only {', '.join(self.table.poses)}")
+        pose = self.table.poses[of][index]
+        if moved is None:
+            return View(self.camera, pose, sun_dir)
+        turn, origin_m = np.radians(moved.rotation_vector_deg), np.array(moved.origin_m)
+        shape = Pose(np.eye(3), np.zeros(3), "body", "body").perturbed(turn, origin_m)
+        return View(self.camera, pose @ shape, shape.inverse().rotate(sun_dir))
 
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.

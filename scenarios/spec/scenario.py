@@ -13,7 +13,7 @@ from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec, LambertSpec
 from boresight.scenarios.spec.camera import BodyKernelsSpec, CameraSpec, DetectorSpec, Rectangle, RenderingSpec
 from boresight.scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
-from boresight.scenarios.spec.distribution import Choice, Law, Scalar
+from boresight.scenarios.spec.distribution import Choice, Law, Row3, Scalar
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.world import PAPER_POSE_ERROR, CorrelatedSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -32,6 +32,19 @@ class SpiceSpec(BodyKernelsSpec):
         if path.is_absolute() or ".." in path.parts or "\0" in files or re.search(r"[^/]\*\*|\*\*[^/]", files):
             raise ValueError(f"files: {files!r} is no pattern of files in the folder, such as *.lbl")
         return files
+
+
+class MovedPosesSpec(SpecModel):
+    """Poses of the table with the shape turned and moved in the body axes of the table, the same for all images.
+
+    x_body = R(rotation_vector_deg) x_shape + origin_m: a mission's poses are of its own shape, and another one has its
+    axes and its origin elsewhere.
+    """
+
+    name: str = Field(min_length=1, description="Name of one's own, for truth and also_score")
+    of: str = Field(min_length=1, description="Prefix of the poses in the table")
+    rotation_vector_deg: Row3 = Field((0.0, 0.0, 0.0), description="Rotation from the axes of the shape to the table's")
+    origin_m: Row3 = Field((0.0, 0.0, 0.0), description="Origin of the shape in the table's body axes")
 
 
 class ImageSetSpec(SpecModel):
@@ -56,6 +69,7 @@ class ImageSetSpec(SpecModel):
         description="Those of truth and also_score that were found by aligning renderings of the shape with the images:"
         " reports say that errors against them are correlated with those of methods that do the same",
     )
+    moved: tuple[MovedPosesSpec, ...] = Field((), description="Further poses, with the shape in another place")
     rendered: bool = Field(
         False,
         description="Render the views of the images with the pose of truth, through detector, in place of reading them",
@@ -76,6 +90,15 @@ class ImageSetSpec(SpecModel):
         unknown = [name for name in self.aligned if name not in prefixes]
         if unknown:
             raise ValueError(f"aligned names {unknown[0]}, which is neither truth nor in also_score")
+        names = [one.name for one in self.moved]
+        if idle := [name for name in names if name not in prefixes]:
+            raise ValueError(f"moved: {idle[0]} is neither truth nor in also_score: name it there, or leave it out")
+        if len(set(names)) < len(names):
+            raise ValueError(f"moved: two have the name {max(names, key=names.count)}")
+
+    def place_of(self, name: str) -> MovedPosesSpec | None:
+        """Return the moved poses of a name; None for poses as the table has them."""
+        return next((one for one in self.moved if one.name == name), None)
 
     @rule
     def _renderings_have_one_pose(self) -> None:
@@ -84,7 +107,7 @@ class ImageSetSpec(SpecModel):
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        senseless = self.stated("table", "first_row", "also_score")
+        senseless = self.stated("table", "first_row", "also_score", "moved")
         if self.spice is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
 

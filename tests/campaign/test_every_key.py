@@ -85,6 +85,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "images.also_score": ("real", "[third]"),
     "images.noise_realisations": ("real", "1"),
     "images.rendered": ("spice", "true"),
+    "images.moved": ("moved", "[{name: placed, of: label, origin_m: [3, 0, 0]}]"),
     "crater_pairs.images.most_detections": (None, "1"),
     "sequence.vision.min_connection": ("sequence", "28"),
     "sequence.images.features": (None, "15"),

@@ -104,6 +104,14 @@ body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
 """,
+    "moved": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+images:
+  folder: set
+  truth: placed
+  moved: [{name: placed, of: label, rotation_vector_deg: [0, 1, 0], origin_m: [4, 0, 0]}]
+""",
     "spice": f"""
 body: {{shape: contact-binary}}
 camera: {{width_px: 64, height_px: 64, focal_px: [629.1667, 629.1667], distortion: {{k1: -0.40859392}}}}

@@ -84,6 +84,46 @@ def test_views_follow_the_columns(tmp_path):
         images.view(0, "other")
 
 
+def test_a_moved_shape_lies_where_its_points_lie_in_the_axes_of_the_table(tmp_path):
+    place = {
+        "name": "moved",
+        "of": "label",
+        "rotation_vector_deg": (20.0, -50.0, 70.0),
+        "origin_m": (60.0, -40.0, 30.0),
+    }
+    images = open_set(write_set(tmp_path / "set", [row("a.png")]), also_score=("moved",), moved=(place,))
+    points_m = np.random.default_rng(1).uniform(-50.0, 50.0, (20, 3))
+    turn = Rotation.from_rotvec([20.0, -50.0, 70.0], degrees=True)
+    cells = row("a.png")
+    of_label = Rotation.from_quat([float(cells[f"label_q{axis}"]) for axis in "wxyz"], scalar_first=True)
+    shift = np.array([cells[f"label_t{axis}_m"] for axis in "xyz"], dtype=float)
+    expected, _ = cv2.projectPoints(
+        turn.apply(points_m) + np.array([60.0, -40.0, 30.0]), of_label.as_rotvec(), shift, CAMERA.matrix, None
+    )
+    view = images.view(0, "moved")
+    # OpenCV counts from the centre of the first pixel.
+    found = CAMERA.project(view.T_cam_body.transform(points_m))
+    np.testing.assert_allclose(found - expected[:, 0], (found - expected[:, 0])[:1].repeat(20, axis=0), atol=1e-9)
+    np.testing.assert_allclose(view.T_cam_body.rotate(view.sun_dir_body), of_label.apply([0.0, 0.6, 0.8]), atol=1e-12)
+    assert images.view(0).T_cam_body.translation_m.tolist() == [10.0, -20.0, 5000.0], "the pose ref is as it was"
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"moved": ({"name": "moved", "of": "label"},)}, "moved: moved is neither truth nor in also_score"),
+        ({"also_score": ("moved",), "moved": ({"name": "moved", "of": "third"},)}, "missing column third_qw"),
+        ({"also_score": ("moved",), "moved": ({"name": "moved", "of": ""},)}, "at least 1 character"),
+        ({"also_score": ("moved",), "moved": ({"name": "moved", "of": "label", "origin_m": (1, 2)},)}, "origin_m"),
+        ({"also_score": ("moved",), "moved": 2 * ({"name": "moved", "of": "label"},)}, "two have the name moved"),
+    ],
+)
+def test_a_moved_shape_is_named_and_complete(tmp_path, keys, message):
+    folder = write_set(tmp_path / "set", [row("a.png")])
+    with pytest.raises((BoresightError, ValueError), match=message):
+        open_set(folder, **keys)
+
+
 @pytest.mark.parametrize(("name", "dtype"), [("a.png", "u1"), ("a.png", "u2"), ("a.tif", "u1"), ("a.tiff", "u2")])
 def test_bitmaps_keep_their_values(tmp_path, name, dtype):
     image = pixels(dtype) * (100 if dtype == "u2" else 1)
@@ -334,6 +374,20 @@ def test_the_navcam_set_is_what_its_notes_say():
     assert len(images) == 60
     assert [round(ranges_km.min()), round(ranges_km.max())] == [81, 131]
     assert [round(phases_deg.min()), round(phases_deg.max())] == [30, 55]
+
+
+@needs_data(NAVCAM, SHAPE)
+def test_one_place_of_the_shape_brings_the_poses_of_the_mission_onto_all_images():
+    spec = load_scenario("navcam67p-views").spec
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
+    shape = trimesh.load(data_path(SHAPE), process=False)
+    found = {"label": [], "moved": []}
+    for index in range(5, len(images), 11):
+        for name in found:
+            painted = _painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), images.view(index, name))
+            found[name].append(_correlation(images.image(index), painted))
+    assert all(np.array(found["moved"]) > np.array(found["label"]))
+    assert np.median(found["moved"]) > 0.9
 
 
 @needs_data(MSI)
