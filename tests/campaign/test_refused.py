@@ -70,6 +70,7 @@ COMMANDS: dict[str, str | list[str]] = {
     **{f"figures all --trials-scale {share}": "--trials-scale" for share in ("0", "1.5", "much")},
     "figures rowell2015 --runs . --trials 3": "--run",
     "figures rowell2016": "rowell2015",
+    "figures reality": "boresight fetch reality brings them",
     "sensitivity FILE --over camera.fov_dge=3:4": "boresight: --over camera.fov_dge=3:4: camera.fov_dge: unknown key",
     "sensitivity FILE --over camera.fov_deg=3": "KEY=LOW:HIGH",
     "sensitivity FILE --over camera.fov_deg=10:20 --over camera.fov_deg=1:2": "named twice",

@@ -1,0 +1,112 @@
+"""Real errors over simulated ones: medians of resamples, coverage of the ratio's interval, verdicts, the table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from stored_runs import RunBuilder, pose_error
+
+from boresight.campaign.papers.page import FinishedRun
+from boresight.campaign.papers.reality import PAPER
+from boresight.campaign.store import RunFolder
+from boresight.reports.run.data import read_run
+from boresight.reports.statistics.reality import Side, levels_of, ratio_interval, reality_rows, verdict
+
+
+def side(error_m, unit) -> Side:
+    return Side(np.asarray(error_m, dtype=float), np.asarray(unit).astype(str))
+
+
+def test_medians_of_resamples_are_those_of_the_values_written_out():
+    rng = np.random.default_rng(1)
+    unit = rng.integers(0, 7, 40)
+    error_m = np.where(rng.uniform(size=40) < 0.2, np.nan, rng.gamma(2.0, 5.0, 40))
+    names = np.unique(unit.astype(str))
+    counts = rng.multinomial(7, np.full(7, 1 / 7), size=50).astype(np.int32)
+    expected = [np.nanmedian(np.repeat(error_m, row[np.searchsorted(names, unit.astype(str))])) for row in counts]
+    np.testing.assert_allclose(side(error_m, unit).medians_m(names, counts), expected)
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_the_interval_of_a_ratio_covers_the_true_one(paired):
+    """Two trials for each of 60 images, whose difficulty both sides share if they are paired; true ratio 1.3."""
+    rng, covered, widths = np.random.default_rng(3), 0, []
+    for _ in range(200):
+        difficulty = rng.normal(0.0, 0.5, 60)
+        other = difficulty if paired else rng.normal(0.0, 0.5, 60)
+        real = np.exp(np.tile(difficulty, 2) + rng.normal(0.0, 0.3, 120)) * 13.0
+        simulated = np.exp(np.tile(other, 2) + rng.normal(0.0, 0.3, 120)) * 10.0
+        names = np.tile(np.arange(60), 2)
+        found = ratio_interval(side(real, names), side(simulated, names if paired else names + 100))
+        covered += found[0] <= 1.3 <= found[1]
+        widths.append(found[1] / found[0])
+    assert 0.91 * 200 <= covered <= 0.99 * 200
+    # Images of which both sides have the same draw leave less open.
+    assert np.median(widths) < 1.45 if paired else np.median(widths) > 1.45
+
+
+def test_tracks_that_share_their_images_have_the_interval_of_the_simulated_trials():
+    simulated = side(np.arange(1.0, 41.0), np.arange(40))
+    real = side(np.full(20, 41.0), np.zeros(20))
+    assert ratio_interval(real, simulated) is None, "one image has no interval"
+    low, high = ratio_interval(real, simulated, shared=True)
+    assert 41.0 / 30.0 < low < 2.0 < high < 41.0 / 10.0
+
+
+@pytest.mark.parametrize(
+    ("interval", "said"),
+    [
+        ((0.71, 1.39), "as predicted"), ((0.5, 1.2), "open"), ((1.2, 1.6), "open"), ((1.41, 3.0), "differs"),
+        ((0.1, 0.69), "differs"), (None, "no interval"),
+    ],
+)  # fmt: skip
+def test_the_verdict_goes_by_the_interval_alone(interval, said):
+    assert verdict(interval) == said
+
+
+GRID = {
+    "design": "star",
+    "axes": [{"name": "images", "label": "images", "levels": ["real", "rendered"]}],
+    "scenarios": [
+        {"name": f"views-{level}", "base": "views", "levels": {"images": level}} for level in ("real", "rendered")
+    ],
+}
+
+
+@pytest.fixture
+def both(tmp_path):
+    """A run of 12 images, real and rendered: the real errors are 3 times the rendered ones, and one trial fails."""
+    builder = RunBuilder(tmp_path / "run")
+    for scenario, factor in (("views-real", 3.0), ("views-rendered", 1.0)):
+        for trial in range(24):
+            for estimator in ("prior", "lmaps"):
+                solved = (scenario, trial, estimator) != ("views-real", 5, "lmaps")
+                error = pose_error((factor * (10 + trial % 12), 0.0, 0.0), 0.1)
+                builder.add(
+                    "rows", trial=trial, scenario=scenario, estimator=estimator, reason="",
+                    status="ok" if solved else "failed", image=f"{trial % 12}.png", n_landmarks=0,
+                    **(error if solved else dict.fromkeys(error, np.nan)),
+                )  # fmt: skip
+    scenarios = {f"views-{level}": {"name": f"views-{level}"} for level in ("real", "rendered")}
+    return builder.write(
+        name="compare-navcam67p", estimators=["prior", "lmaps"], grid=GRID, scenarios=scenarios, trials=24
+    )
+
+
+def test_the_table_has_a_line_for_each_method_that_both_have(both):
+    run = read_run(both)
+    assert levels_of(run, {"images": "real"}) == {(): "views-real"}
+    (line,) = reality_rows("67P", (run, "views-real"), (run, "views-rendered"))
+    assert line["method"] == "lmaps"
+    assert (line["ok, real"], line["ok, simulated"]) == ("23/24", "24/24")
+    assert (line["real"], line["simulated"]) == ("48.0", "15.5")
+    assert line["ratio [95 %]"].startswith("3.10 [")
+    assert (line["in the central 90 %"], line["verdict"]) == ("no", "differs")
+
+
+def test_the_page_draws_the_runs_that_are_there(both):
+    (grid,) = PAPER.table({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
+    table = pd.DataFrame(grid.rows, columns=grid.columns)
+    assert table["seen"].tolist() == ["67P, 60 images"]
+    assert PAPER.table({}) == []
