@@ -32,7 +32,7 @@ def test_medians_of_resamples_are_those_of_the_values_written_out():
 def test_the_interval_of_a_ratio_covers_the_true_one(paired):
     """Two trials for each of 60 images, whose difficulty both sides share if they are paired; true ratio 1.3."""
     rng, covered, widths = np.random.default_rng(3), 0, []
-    for _ in range(200):
+    for _ in range(80):
         difficulty = rng.normal(0.0, 0.5, 60)
         other = difficulty if paired else rng.normal(0.0, 0.5, 60)
         real = np.exp(np.tile(difficulty, 2) + rng.normal(0.0, 0.3, 120)) * 13.0
@@ -41,7 +41,7 @@ def test_the_interval_of_a_ratio_covers_the_true_one(paired):
         found = ratio_interval(side(real, names), side(simulated, names if paired else names + 100))
         covered += found[0] <= 1.3 <= found[1]
         widths.append(found[1] / found[0])
-    assert 0.91 * 200 <= covered <= 0.99 * 200
+    assert covered >= 70, "of 80; 76 are expected"
     # Images of which both sides have the same draw leave less open.
     assert np.median(widths) < 1.45 if paired else np.median(widths) > 1.45
 
