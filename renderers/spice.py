@@ -18,7 +18,7 @@ import numpy as np
 import spiceypy
 from numpy.typing import NDArray
 
-from boresight.renderers.images.image_set import check_size, files_digest
+from boresight.renderers.images.image_set import check_camera, check_size, files_digest
 from boresight.renderers.images.product import ImageMetadata, ImageProduct, open_product
 from boresight.scenarios.data import find_data_folder
 from boresight.scenarios.errors import BoresightError
@@ -34,9 +34,6 @@ from boresight.scenarios.spice import (
     loaded_kernels,
     spice_message,
 )
-
-# Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
-CAMERA_TOLERANCE_PX = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +183,7 @@ class SpiceImageSet:
         products = [open_product(path) for path in paths]
         kernels = find_kernels(spice.kernels, (folder, *search_dirs), "images.spice.kernels")
         with loaded_kernels(kernels):
-            _check_camera(camera, instrument, spice)
+            check_camera(camera, instrument.camera(instrument.constants()), spice.instrument, "the kernels")
             judged = [_frame_or_reason(product, instrument, spice) for product in products]
         frames = tuple(frame for frame in judged if isinstance(frame, _Frame))
         left_out = tuple(
@@ -236,28 +233,6 @@ class SpiceImageSet:
         """Read every image, so that a damaged one is found before a campaign starts."""
         for index in range(len(self)):
             self.image(index)
-
-
-def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> None:
-    """Raise an error if the scenario's camera differs from that of the kernels."""
-    known = instrument.camera(instrument.constants())
-    if (known.width_px, known.height_px) != (camera.width_px, camera.height_px):
-        raise BoresightError(
-            f"camera: {camera.width_px} x {camera.height_px} pixels, but {spice.instrument} has"
-            f" {known.width_px} x {known.height_px}"
-        )
-    # Compared by what both do with the same pixels: equal cameras may be written with other numbers.
-    steps = np.linspace(0.0, 1.0, 9)
-    uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
-    off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
-    # Written so that NaN, a pixel that one lens cannot reach, is a difference.
-    if not off_px <= CAMERA_TOLERANCE_PX:
-        lens = known.distortion
-        raise BoresightError(
-            f"camera: up to {off_px:.3g} pixels off that of the kernels: write focal_px: [{known.fx_px:.6f},"
-            f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
-            + (f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}" if isinstance(lens, RadialDistortion) else " null")
-        )
 
 
 def _frame_or_reason(product: ImageProduct, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:

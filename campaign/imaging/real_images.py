@@ -1,4 +1,4 @@
-"""Real images or tracks of a scenario, with poses from a table or from SPICE kernels."""
+"""Real images or tracks of a scenario, with poses from a table, SUM files or SPICE kernels."""
 
 from __future__ import annotations
 

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.geometry import Camera, RadialDistortion, View
+
+# Largest allowed difference between the cameras of scenario and source, anywhere in the image.
+CAMERA_TOLERANCE_PX = 0.01
 
 Rectangle = tuple[float, float, float, float]
 
@@ -87,6 +90,30 @@ def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
     if (width, height) != (camera.width_px, camera.height_px):
         raise BoresightError(
             f"{path}: the image is {width} x {height} pixels, but the camera has {camera.width_px} x {camera.height_px}"
+        )
+
+
+def check_camera(camera: Camera, known: Camera, owner: str, source: str) -> None:
+    """Raise BoresightError if a scenario's camera is not the one that ``source`` states for ``owner``, within 0.01 px.
+
+    The message has the keys of the scenario that would be right.
+    """
+    if (known.width_px, known.height_px) != (camera.width_px, camera.height_px):
+        raise BoresightError(
+            f"camera: {camera.width_px} x {camera.height_px} pixels, but {owner} has"
+            f" {known.width_px} x {known.height_px}"
+        )
+    # Compared by what both do with the same pixels: equal cameras may be written with other numbers.
+    steps = np.linspace(0.0, 1.0, 9)
+    uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
+    off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
+    # Written so that NaN, a pixel that one lens cannot reach, is a difference.
+    if not off_px <= CAMERA_TOLERANCE_PX:
+        lens = known.distortion
+        raise BoresightError(
+            f"camera: up to {off_px:.3g} pixels off that of {source}: write focal_px: [{known.fx_px:.6f},"
+            f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
+            + (f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}" if isinstance(lens, RadialDistortion) else " null")
         )
 
 

@@ -1,4 +1,4 @@
-"""Image set from a folder of images and a CSV table of their poses.
+"""Image set from a folder of images and a CSV table of their poses, or their SUM files.
 
 Columns of the table, in any order; others are not read:
 
@@ -24,8 +24,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.renderers.images.image_set import check_size, files_digest
+from boresight.renderers.images.image_set import check_camera, check_size, files_digest
 from boresight.renderers.images.pixels import read_image
+from boresight.renderers.images.sumfile import read_sumfile
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
@@ -173,9 +174,21 @@ def _pose(row: _Row, prefix: str) -> Pose:
     return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
+def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera) -> PoseTable:
+    read = [read_sumfile(path) for path in paths]
+    for path, one in zip(paths, read, strict=True):
+        check_camera(camera, one.camera, str(path), str(path))
+    return PoseTable(
+        tuple(one.image for one in spec.sumfiles or ()),
+        np.array([one.time_s for one in read]),
+        np.array([one.sun_dir_body for one in read]),
+        {spec.truth: tuple(one.T_cam_body for one in read)},
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedImageSet:
-    """Image set whose epochs, directions to the Sun and poses come from a table.
+    """Image set whose epochs, directions to the Sun and poses come from a table or from SUM files, ``sources``.
 
     ``version`` enters the digest of every run: raise it when pixels or views change.
     """
@@ -188,36 +201,43 @@ class PosedImageSet:
     camera: Camera
     spec: ImageSetSpec
     table: PoseTable
+    sources: tuple[Path, ...]
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
-        """Read and check the table, and check that every image exists; the images are read later.
+        """Read and check the table or the SUM files, and check that every image exists; the images are read later.
 
         A relative ``folder`` is searched for in ``search_dirs``, then in ``$BORESIGHT_DATA/images`` and
-        ``$BORESIGHT_DATA``. Raise `BoresightError` if the table or an image is missing, or the table contains an error.
+        ``$BORESIGHT_DATA``. Raise `BoresightError` if a file is missing or contains an error, or if the camera is not
+        that of a SUM file.
         """
-        path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
+        first = spec.table if spec.sumfiles is None else spec.sumfiles[0].sumfile
+        path = find_data_file(f"{spec.folder}/{first}", search_dirs, "images", "images.folder")
         folder = path.parent
-        named = (spec.truth, *spec.also_score)
-        moved = {one.name: one.of for one in spec.moved}
-        table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named)))
+        if spec.sumfiles is None:
+            sources: tuple[Path, ...] = (path,)
+            named, moved = (spec.truth, *spec.also_score), {one.name: one.of for one in spec.moved}
+            table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named)))
+        else:
+            sources = tuple(folder / one.sumfile for one in spec.sumfiles)
+            table = _table_of_sumfiles(sources, spec, camera)
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:
             raise BoresightError(f"{path}: file: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
-        return cls(folder, camera, spec, table)
+        return cls(folder, camera, spec, table, sources)
 
     def __len__(self) -> int:
         return len(self.table.files)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """File names in the order of the table."""
+        """File names in the order of the table or of ``sumfiles``."""
         return self.table.files
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The table and the images."""
-        return (self.folder / self.spec.table, *(self.folder / name for name in self.names))
+        """The table or the SUM files, and the images."""
+        return (*self.sources, *(self.folder / name for name in self.names))
 
     def time_s(self, index: int) -> float:
         """Epoch of an image, s."""
@@ -251,7 +271,7 @@ class PosedImageSet:
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 
     def content_digest(self) -> str:
-        """Hexadecimal SHA-256 of the table and every image; `BoresightError` if one cannot be read."""
+        """Hexadecimal SHA-256 of the sources and every image; `BoresightError` if one cannot be read."""
         return files_digest(self.files)
 
     def check_images(self) -> None:

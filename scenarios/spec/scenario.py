@@ -47,8 +47,15 @@ class MovedPosesSpec(SpecModel):
     origin_m: Row3 = Field((0.0, 0.0, 0.0), description="Origin of the shape in the table's body axes")
 
 
+class SumfileSpec(SpecModel):
+    """An image and its SUM file of stereophotoclinometry, with its pose, Sun and epoch."""
+
+    image: str = Field(pattern=r"^[^/\\]+$", description="Image in the folder of the set")
+    sumfile: str = Field(pattern=r"^[^/\\]+$", description="SUM file in that folder")
+
+
 class ImageSetSpec(SpecModel):
-    """Real images instead of rendered ones, with poses from a table or from SPICE kernels."""
+    """Real images instead of rendered ones, with poses from a table, from SUM files or from SPICE kernels."""
 
     prose: ClassVar = frozenset({"credit", "aligned"})
 
@@ -58,10 +65,13 @@ class ImageSetSpec(SpecModel):
         "top", description="Where the first stored row belongs; FITS images are often stored bottom up"
     )
     spice: SpiceSpec | None = Field(None, description="Poses from kernels instead of the table")
+    sumfiles: tuple[SumfileSpec, ...] | None = optional(
+        "Poses from SUM files of stereophotoclinometry instead of the table: each image with its file", min_length=1
+    )
     truth: str = Field(
         "ref",
         min_length=1,
-        description="Prefix of the columns that are scored against; with spice a name for the kernels' pose",
+        description="Prefix of the columns that are scored against; with spice or sumfiles a name for their pose",
     )
     also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
     aligned: tuple[str, ...] = Field(
@@ -107,9 +117,19 @@ class ImageSetSpec(SpecModel):
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        senseless = self.stated("table", "first_row", "also_score", "moved")
+        senseless = self.stated("table", "first_row", "sumfiles", "also_score", "moved")
         if self.spice is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
+
+    @rule
+    def _sumfiles_have_one_pose_of_each_image(self) -> None:
+        senseless = self.stated("table", "also_score", "moved")
+        if self.sumfiles is not None and senseless:
+            raise ValueError(f"{', '.join(senseless)} has no meaning beside sumfiles; leave it out")
+        names = [one.image for one in self.sumfiles or ()]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"sumfiles: {twice[0]} appears twice")
 
 
 _ONBOARD_OF = {

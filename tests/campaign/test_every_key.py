@@ -77,6 +77,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "onboard.rotation_error_deg": (None, "{uniform: [1, 1]}"),
     "images.folder": (None, "other"),
     "images.table": (None, "more.csv"),
+    "images.sumfiles": (None, "[{image: a.png, sumfile: b.SUM}]"),
     "images.spice.files": (None, "b*.lbl"),
     "images.spice.kernels": (None, KERNELS.replace("tiny.tf", "tiny.tf, still.tf")),
     "images.spice.target_frame": (None, "J2000"),

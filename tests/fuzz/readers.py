@@ -35,6 +35,7 @@ from boresight.estimators.slam.options import BundleOptions
 from boresight.renderers.images import open_product
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
+from boresight.renderers.images.sumfile import read_sumfile
 from boresight.renderers.spice import INSTRUMENTS
 from boresight.reports.published import parse as parse_published
 from boresight.scenarios.bodies import load_body
@@ -162,6 +163,10 @@ COLUMNS = (
     b"float", b"trial", b"scenario", b"status", b"ok", b"failed", b"error", b"large_string", b"image", b"reason",
     b"nees",
 )  # fmt: skip
+SUMFILES = (
+    b"MMFL, CTR", b"SCOBJ", b"CX", b"SZ", b"K-MATRIX", b"DISTORTION", b"LANDMARKS", b".1D+99", b"1e400", b"nan", b"-0",
+    b"1e-320", b"1_0", b"2019 FEB 29 00:00:00", b"9999 DEC 31 23:59:60.5",
+)  # fmt: skip
 SUMS = (b"/dev/zero", b"../manifest.json", b"rows/../x", b"rows//dev/zero", b"rows/", b"  ", b" *", b"0" * 64)
 
 
@@ -215,6 +220,11 @@ def shape(name: str, file_format: str) -> Read:
 def product(path: Path) -> object:
     opened = open_product(path)
     return opened.metadata(), opened.size_px, opened.pixels()
+
+
+def sumfile(path: Path) -> object:
+    read = read_sumfile(path)
+    return read.camera.project(read.T_cam_body.transform(np.eye(3)))
 
 
 def label(content: bytes, folder: Path) -> object:
@@ -310,6 +320,7 @@ READERS = {
     "pose-table": Reader(
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")
     ),
+    "sumfile": Reader(in_file("x.SUM", sumfile), SUMFILES),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
     "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
     "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),

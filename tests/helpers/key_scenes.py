@@ -112,6 +112,11 @@ images:
   truth: placed
   moved: [{name: placed, of: label, rotation_vector_deg: [0, 1, 0], origin_m: [4, 0, 0]}]
 """,
+    "sumfiles": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, focal_px: [150, 150], principal_point_px: [24, 20]}
+images: {folder: set, truth: spc, sumfiles: [{image: a.png, sumfile: a.SUM}]}
+""",
     "spice": f"""
 body: {{shape: contact-binary}}
 camera: {{width_px: 64, height_px: 64, focal_px: [629.1667, 629.1667], distortion: {{k1: -0.40859392}}}}
@@ -190,6 +195,21 @@ orbit:
 }
 
 
+SUMFILE = """A
+2019 MAR 14 19:01:23.961
+  48 40 0 255  NPX, NLN, THRSH
+  10 24.5 20.5  MMFL, CTR
+  0 0 {range_km}  SCOBJ
+  1 0 0  CX
+  0 1 0  CY
+  0 0 1  CZ
+  0 0 -1  SZ
+  15 0 0 0 15 0  K-MATRIX
+  0 0 0 0  DISTORTION
+END FILE
+"""
+
+
 def write_scenes(folder: Path) -> None:
     """Write the scenes, an egg of 600 m, a grid, tables of states, two image sets of two images, a mission of three."""
     for name, text in SCENES.items():
@@ -218,6 +238,8 @@ def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
     folder.mkdir()
     for name in ("a.png", "b.png"):
         cv2.imwrite(str(folder / name), rng.integers(0, 255, (40, 48), dtype=np.uint8))
+    for name, range_km in (("a", 2.0), ("b", 2.1)):
+        (folder / f"{name}.SUM").write_text(SUMFILE.format(range_km=range_km))
     for table, shift in (("poses.csv", 0.0), ("more.csv", 5.0)):
         with (folder / table).open("w", newline="") as stream:
             writer = csv.writer(stream)

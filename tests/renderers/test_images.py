@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from astropy.io import fits
 from mission_data import data_path, needs_data
+from painted_bodies import correlation, painted
 from scipy.spatial.transform import Rotation
 
 from boresight.renderers.images import PosedImageSet
@@ -323,12 +324,12 @@ def test_the_conventions_hold_on_real_images():
     shifts = []
     for index in range(0, len(images), 3):
         image, view = images.image(index), images.view(index, "ref")
-        lambert = _painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), view)
-        rendered["right"].append(_correlation(image, lambert))
-        rendered["mirrored"].append(_correlation(image, lambert[:, ::-1]))
-        rendered["upside down"].append(_correlation(image, lambert[::-1]))
+        lambert = painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), view)
+        rendered["right"].append(correlation(image, lambert))
+        rendered["mirrored"].append(correlation(image, lambert[:, ::-1]))
+        rendered["upside down"].append(correlation(image, lambert[::-1]))
         scores = {
-            (du, dv): _correlation(image, np.roll(lambert, (dv, du), (0, 1))) for du in (-1, 0, 1) for dv in (-1, 0, 1)
+            (du, dv): correlation(image, np.roll(lambert, (dv, du), (0, 1))) for du in (-1, 0, 1) for dv in (-1, 0, 1)
         }
         shifts.append(
             [_peak(scores[-1, 0], scores[0, 0], scores[1, 0]), _peak(scores[0, -1], scores[0, 0], scores[0, 1])]
@@ -336,26 +337,6 @@ def test_the_conventions_hold_on_real_images():
     assert min(rendered["right"]) > 0.9
     assert max(rendered["mirrored"] + rendered["upside down"]) < 0.9
     assert np.abs(np.median(shifts, axis=0)).max() < 0.35, shifts
-
-
-def _painted(vertices_m, faces, view):
-    """A Lambert image by the painter's algorithm and OpenCV's projection and polygons."""
-    rotation, _ = cv2.Rodrigues(view.T_cam_body.rotation)
-    uv, _ = cv2.projectPoints(vertices_m, rotation, view.T_cam_body.translation_m, view.camera.matrix, None)
-    corners = np.round((uv[faces, 0] - 0.5) * 256).astype(np.int32)
-    normals = np.cross(
-        vertices_m[faces[:, 1]] - vertices_m[faces[:, 0]], vertices_m[faces[:, 2]] - vertices_m[faces[:, 0]]
-    )
-    cosines = np.clip(normals @ view.sun_dir_body / np.linalg.norm(normals, axis=1), 0, None)
-    depth = view.T_cam_body.transform(vertices_m)[faces].mean(axis=1)[:, 2]
-    image = np.zeros((view.camera.height_px, view.camera.width_px), np.float32)
-    for face in np.argsort(-depth):
-        cv2.fillConvexPoly(image, corners[face], float(cosines[face]), shift=8)
-    return image
-
-
-def _correlation(first, second):
-    return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
 
 
 def _peak(left, middle, right):
@@ -384,8 +365,8 @@ def test_one_place_of_the_shape_brings_the_poses_of_the_mission_onto_all_images(
     found = {"label": [], "moved": []}
     for index in range(5, len(images), 11):
         for name in found:
-            painted = _painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), images.view(index, name))
-            found[name].append(_correlation(images.image(index), painted))
+            lambert = painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), images.view(index, name))
+            found[name].append(correlation(images.image(index), lambert))
     assert all(np.array(found["moved"]) > np.array(found["label"]))
     assert np.median(found["moved"]) > 0.9
 

@@ -1,0 +1,161 @@
+"""SUM files of stereophotoclinometry (SPC, R. Gaskell): camera, pose, Sun and epoch of one image.
+
+The second line is the epoch. Each later line ends with the name of what it holds; others, landmarks among them, are not
+read:
+
+================= =================================================================================
+NPX, NLN, THRSH   samples and lines of the image; thresholds of brightness
+MMFL, CTR         focal length, mm; sample and line of the principal point
+SCOBJ             vector from the spacecraft to the origin of the body, body axes, km
+CX, CY, CZ        axes of the camera in body axes, right-handed, CZ along the boresight
+SZ                unit vector to the Sun, body axes
+K-MATRIX          K in rows of three, pixels a mm: (a, 0, 0), (0, b, 0)
+DISTORTION        four coefficients of NEAR's camera, zero for others
+================= =================================================================================
+
+A point at X, Y, Z along CX, CY, CZ from the spacecraft is in sample and line CTR + MMFL K (X/Z, Y/Z). The centre of the
+first pixel is (1, 1).
+
+The axes are right-handed, and no camera is a mirror. So lines that count against CY (a negative second diagonal element
+of K) count from the bottom of the image, as FITS images are often stored. A rendering of Bennu correlates with a MapCam
+image by 0.90 in this order, and by less than 0.63 in each of the other seven. Whether pixels count from 0 or from 1 it
+does not tell: with facets of 48 pixels, the best shift depends on the reflectance by 4 pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.reading import LARGEST_NUMBER
+
+_COUNTS = {
+    "NPX, NLN, THRSH": 4, "MMFL, CTR": 3, "SCOBJ": 3, "CX": 3, "CY": 3, "CZ": 3, "SZ": 3, "K-MATRIX": 6,
+    "DISTORTION": 4,
+}  # fmt: skip
+_AXES_TOLERANCE = 1e-6  # the file of Bennu is within 1e-11; others may have fewer digits
+_SUN_TOLERANCE = 1e-3
+_MOST_BYTES = 1 << 24
+_J2000 = datetime(2000, 1, 1, 12)
+_FORMATS = ("%Y %b %d %H:%M:%S.%f", "%Y %b %d %H:%M:%S")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sumfile:
+    """Content of a checked SUM file, for the image with its top row first.
+
+    ``time_s`` is the epoch, seconds of UTC past 2000-01-01 12:00 UTC without leap seconds. ``camera`` has x right (CX)
+    and y down (CY); ``sun_dir_body`` (3,) is a unit vector towards the Sun.
+    """
+
+    time_s: float
+    camera: Camera
+    T_cam_body: Pose
+    sun_dir_body: FloatArray
+
+
+def read_sumfile(path: Path) -> Sumfile:
+    """Read and check a SUM file.
+
+    Raise `BoresightError` with file and keyword if the file is missing or damaged, lacks a keyword, or holds what no
+    undistorted camera in front of a body has.
+    """
+    lines = _lines(path)
+    values = _values(path, lines[2:])
+    rotation = np.array([values[name] for name in ("CX", "CY", "CZ")])
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if not off <= _AXES_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise BoresightError(
+            f"{path}: CX, CY, CZ: not right-handed unit vectors at right angles within {_AXES_TOLERANCE:g}"
+        )
+    translation_m = 1e3 * rotation @ values["SCOBJ"]
+    if not translation_m[2] > 0.0:
+        raise BoresightError(
+            f"{path}: SCOBJ: {translation_m[2]:g} m along CZ puts the body behind the camera: SCOBJ points to the body"
+        )
+    sun, length = values["SZ"], float(np.linalg.norm(values["SZ"]))
+    if abs(length - 1.0) > _SUN_TOLERANCE:
+        raise BoresightError(f"{path}: SZ: the length is {length:.6g}, not 1 within {_SUN_TOLERANCE:g}")
+    return Sumfile(_time_s(path, lines[1]), _camera(path, values), Pose(rotation, translation_m), sun / length)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if not path.is_file():
+            raise BoresightError(f"{path}: no such SUM file")
+        if path.stat().st_size > _MOST_BYTES:
+            raise BoresightError(f"{path}: larger than any SUM file, {_MOST_BYTES >> 20} MiB")
+        lines = path.read_text(encoding="latin-1").splitlines()
+    except OSError as error:
+        raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(lines) < 3:
+        raise BoresightError(f"{path}: not a SUM file: it has {len(lines)} lines")
+    return lines
+
+
+def _values(path: Path, lines: list[str]) -> dict[str, FloatArray]:
+    """Return the numbers of every keyword."""
+    found: dict[str, FloatArray] = {}
+    for line in lines:
+        cells = line.split()
+        name = next((name for name in _COUNTS if cells[-len(name.split()) :] == name.split()), None)
+        if name is None:
+            continue
+        if name in found:
+            raise BoresightError(f"{path}: {name}: appears twice")
+        cells = cells[: -len(name.split())]
+        if len(cells) != _COUNTS[name]:
+            raise BoresightError(f"{path}: {name}: {len(cells)} numbers, not {_COUNTS[name]}")
+        found[name] = np.array([_number(path, name, cell) for cell in cells])
+    missing = [name for name in _COUNTS if name not in found]
+    if missing:
+        raise BoresightError(f"{path}: {missing[0]}: missing: not a SUM file, or cut short")
+    return found
+
+
+def _number(path: Path, name: str, text: str) -> float:
+    try:
+        value = float(text.upper().replace("D", "E"))  # Fortran's exponents
+    except ValueError:
+        value = np.nan
+    if not abs(value) <= LARGEST_NUMBER:
+        raise BoresightError(f"{path}: {name}: {text!r} is not a number that this can be")
+    return value
+
+
+def _camera(path: Path, values: dict[str, FloatArray]) -> Camera:
+    """Return the camera of the image with its top row first."""
+    focal_mm, sample, line = values["MMFL, CTR"].tolist()
+    across, down = values["K-MATRIX"][[0, 4]].tolist()
+    if np.any(values["K-MATRIX"][[1, 2, 3, 5]]) or not across > 0.0 or down == 0.0:
+        raise BoresightError(
+            f"{path}: K-MATRIX: only (a, 0, 0), (0, b, 0) with a > 0 is read: no skew, samples that count along CX"
+        )
+    if np.any(values["DISTORTION"]):
+        raise BoresightError(f"{path}: DISTORTION: only zeros are read: resample the image to a pinhole")
+    width, height = values["NPX, NLN, THRSH"][:2].tolist()
+    focal_px = focal_mm * across, focal_mm * abs(down)
+    sizes_are_whole = all(1.0 <= size <= 1e5 and size == int(size) for size in (width, height))
+    if not sizes_are_whole or not all(1.0 <= focal <= 1e9 for focal in focal_px) or max(abs(sample), abs(line)) > 1e6:
+        raise BoresightError(
+            f"{path}: NPX, NLN, MMFL, CTR, K-MATRIX: no camera has {width:g} x {height:g} pixels, focal lengths of"
+            f" {focal_px[0]:g} and {focal_px[1]:g} px and its centre at {sample:g}, {line:g}"
+        )
+    # The centre of the first pixel is (1, 1) there and (0.5, 0.5) here; lines against CY count from the bottom.
+    cy_px = line - 0.5 if down > 0.0 else height + 0.5 - line
+    return Camera(int(width), int(height), *focal_px, sample - 0.5, cy_px)
+
+
+def _time_s(path: Path, text: str) -> float:
+    for form in _FORMATS:
+        try:
+            return (datetime.strptime(text.strip(), form) - _J2000).total_seconds()
+        except ValueError:
+            continue
+    raise BoresightError(f"{path}: line 2: {text.strip()!r} is not a time such as 2019 MAR 14 19:01:23.961")
