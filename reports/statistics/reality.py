@@ -20,11 +20,11 @@ WITHIN = (0.7, 1.4)
 _CENTRAL = (0.05, 0.95)
 _TEXT = ("seen", "method", "in the central 90 %", "verdict")
 _NOTE = (
-    "Median position error of the trials with an estimate, in metres; of sequences that of the last frame. The interval"
-    " of 95 % of a ratio is that of resampled images, the same for both where both have them; where tracks share their"
-    f" images it is of the simulated trials alone. `as predicted`: it lies within {WITHIN[0]:g} to {WITHIN[1]:g};"
-    " `differs`: it lies outside; `open`: it does neither; `no interval`: fewer than ten images. The central 90 % are"
-    " those of the simulated errors. The real error also has that of the reference pose."
+    "Median position error of the trials with an estimate; of sequences that of the last frame. The interval of 95 % of"
+    " a ratio is that of resampled images, the same for both where both have them; where tracks share their images, of"
+    f" the simulated trials alone. As predicted: it lies within {WITHIN[0]:g} to {WITHIN[1]:g}; differs: outside; open:"
+    " neither; no interval: fewer than ten images. The central 90 % are those of the simulated errors. The real error"
+    " also has that of the reference pose."
 )
 
 
@@ -114,9 +114,9 @@ def reality_rows(
         yield {
             "seen": seen,
             "method": label,
-            "real": _printed(ours.median_m),
+            "real, m": _printed(ours.median_m),
             "ok, real": f"{len(ours.found)}/{len(ours.error_m)}",
-            "simulated": _printed(theirs.median_m),
+            "simulated, m": _printed(theirs.median_m),
             "ok, simulated": f"{len(theirs.found)}/{len(theirs.error_m)}",
             "in the central 90 %": "yes" if ends[0] <= ours.median_m <= ends[1] else "no",
             "ratio [95 %]": _printed(ratio) + of_ratio,

@@ -100,7 +100,7 @@ def test_the_table_has_a_line_for_each_method_that_both_have(both):
     (line,) = reality_rows("67P", (run, "views-real"), (run, "views-rendered"))
     assert line["method"] == "lmaps"
     assert (line["ok, real"], line["ok, simulated"]) == ("23/24", "24/24")
-    assert (line["real"], line["simulated"]) == ("48.0", "15.5")
+    assert (line["real, m"], line["simulated, m"]) == ("48.0", "15.5")
     assert line["ratio [95 %]"].startswith("3.10 [")
     assert (line["in the central 90 %"], line["verdict"]) == ("no", "differs")
 
