@@ -56,6 +56,18 @@ def test_statistics_are_those_of_the_rows(tiny_run):
     assert len(rows) == 2 * TRIALS
 
 
+def test_a_comparison_is_that_of_the_rows(tiny_run):
+    rows = boresight.read_run(tiny_run.folder).rows
+    found = boresight.compare(tiny_run.folder)
+    solved = rows[rows["status"] == "ok"].groupby("estimator")["position_error_m"].median()
+    medians = found.subjects.query("trials == 'solved' and statistic == 'median'").set_index("estimator")["value"]
+    np.testing.assert_allclose(medians[solved.index], solved)
+    assert found.differences.empty, "the prior is no subject of a difference"
+    weighed = found.consistency.set_index("estimator")["mean"]
+    nees = rows[rows["status"] == "ok"].groupby("estimator")["nees"].mean()
+    assert weighed["landmark-harris"] == pytest.approx(nees["landmark-harris"])
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
