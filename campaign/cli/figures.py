@@ -34,6 +34,9 @@ from boresight.reports.verdicts import verdict_tally
 from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load import load_campaign
 
+_REAL = ("images", "tables")
+"""Folders of real data, as `Need.kind` names them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
@@ -96,7 +99,7 @@ def figures_command(arguments: argparse.Namespace) -> int:
             f"--runs {arguments.runs}: no such folder: give one that holds runs, or --run to make them"
         )
     if arguments.paper not in PAPERS and arguments.paper != ALL_PAPERS and not arguments.fetch:
-        _refuse_without_data(arguments.paper, arguments.runs)
+        _refuse_without_data(arguments)
     parent = Path("figures") if scale == 1.0 else Path("figures") / f"draft-{scale:g}"
     if arguments.paper != ALL_PAPERS:
         written = _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
@@ -108,16 +111,17 @@ def figures_command(arguments: argparse.Namespace) -> int:
     return EXIT_IN_PART if any(one.refused for one in written) else 0
 
 
-def _refuse_without_data(page: str, runs: Path) -> None:
-    """Refuse a page on real data where there are none, nor a run of them."""
-    paper = paper_called(page)
-    lacking = [
-        name for name in paper_campaigns(paper) if not all(one.found for one in needs(load_campaign(name, CATALOG)))
-    ]
-    if lacking and not gather(paper, runs).found:
+def _refuse_without_data(arguments: argparse.Namespace) -> None:
+    """Refuse a page on real data where none of them are there, nor a run."""
+    paper = paper_called(arguments.paper)
+    wanted = {name: needs(load_campaign(name, CATALOG)) for name in paper_campaigns(paper)}
+    real = {name: found for name, found in wanted.items() if any(one.kind in _REAL for one in found)}
+    if any(all(one.found for one in found) for found in real.values()):
+        return
+    if not gather(paper, arguments.runs, arguments.trials_scale, embedded=arguments.embedded).found:
         raise BoresightError(
-            f"{page}: the data of {', '.join(lacking)} are missing: boresight fetch {page} brings them, or says where"
-            " they are"
+            f"{arguments.paper}: the data of {' and of '.join(real)} are missing: boresight fetch {arguments.paper}"
+            " brings them, or says where they are"
         )
 
 

@@ -223,7 +223,7 @@ def images_of(spec: ScenarioSpec, trials: int) -> int:
     if spec.viewpoint is not None:
         return trials
     if spec.images is not None:
-        return trials // spec.images.noise_realisations if spec.images.rendered else 0
+        return trials if spec.images.rendered else 0  # at most: a view is rendered once
     if spec.crater_pairs is not None:
         return 0 if spec.crater_pairs.images is None else 2 * trials
     if spec.sequence is None or spec.sequence.images is None:

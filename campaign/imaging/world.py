@@ -90,6 +90,16 @@ class RenderedImageSource:
         )
 
 
+def image_of_trial(images: ImageSet, realisations: int, trial: int) -> int:
+    """Return the index of a trial's image; raise BoresightError if there are not so many trials."""
+    if trial >= len(images) * realisations:
+        raise BoresightError(
+            f"trial {trial}: the image set has {len(images)} images x {realisations} noise realisations: ask for at"
+            f" most {len(images) * realisations} trials"
+        )
+    return trial % len(images)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RealImageSource:
     """Source of real images: trial t has image t modulo their number, so that few trials cover many images."""
@@ -101,12 +111,7 @@ class RealImageSource:
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Read the trial's image."""
-        if trial >= len(self.images) * self.realisations:
-            raise BoresightError(
-                f"trial {trial}: the image set has {len(self.images)} images x {self.realisations} noise"
-                f" realisations: ask for at most {len(self.images) * self.realisations} trials"
-            )
-        index = trial % len(self.images)
+        index = image_of_trial(self.images, self.realisations, trial)
         return TrialImage(
             self.images.image(index),
             self.images.view(index, self.truth),
@@ -129,11 +134,12 @@ class RenderedSetSource:
     """Source of renderings of the views of real images: trial t has the view of image t modulo their number."""
 
     images: ImageSet
+    realisations: int
     imager: Imager
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Render the view of the trial's image and expose the detector."""
-        index = trial % len(self.images)
+        index = image_of_trial(self.images, self.realisations, trial)
         view = self.images.view(index)
         # One rendering of a view serves all its trials.
         image, from_store = self.imager.image(view, seed, index, generator(seed, Stream.DETECTOR, trial))
@@ -167,9 +173,9 @@ def believed(scenario: LoadedScenario) -> LoadedScenario:
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:
-    """Return the number of trials that a scenario's real images allow; None if images are rendered.
+    """Return the number of trials that a set of real images or their views allows; None without a set.
 
-    Every image is read once, so that a damaged one is found before a campaign starts.
+    Every image that is shown is read once, so that a damaged one is found before a campaign starts.
     """
     spec = scenario.spec
     if spec.images is None:
@@ -232,7 +238,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     body = load_body(spec.body, scenario.search_dirs)
     if spec.images is not None and spec.images.rendered:
         imager = Imager.open(scenario, variant, Stream.TRUTH, spec.images)
-        shown = RenderedSetSource(open_images(scenario), imager)
+        shown = RenderedSetSource(open_images(scenario), spec.images.noise_realisations, imager)
         return World(scenario, camera, body, imager.renderer, shown, imager.ground)
     if spec.images is not None:
         real, ground = spec.images, open_ground(scenario)

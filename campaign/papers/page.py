@@ -244,6 +244,11 @@ def paper_page(
             figures += drawn(figure, found, jobs)
         except BoresightError as error:
             missing.append(f"figure {figure.number}: {error}")
+    together: list[Grid] = []
+    try:
+        together += paper.table(found)
+    except BoresightError as error:
+        missing.append(str(error))
     specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
     reports = {name: spec.report for name, spec in specs.items() if spec.report}
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
@@ -280,7 +285,7 @@ def paper_page(
         ],
         grids=(
             *([paper_grid(lines)] if lines else []),
-            *paper.table(found),
+            *together,
             *(grid for run in found.values() for grid in paper.grids(run)),
         ),
         figures=(*figures, *tables),

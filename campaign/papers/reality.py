@@ -18,6 +18,7 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.reality import levels_of, reality_grid, reality_rows
+from boresight.scenarios.errors import BoresightError
 
 _IMAGES = {"compare-navcam67p": "67P, 60 images"}
 _SHOWN = 3
@@ -34,10 +35,13 @@ def _rows(found: Mapping[str, FinishedRun]) -> Iterator[dict[str, str]]:
         real, simulated = found[_TRACKS].data, found[_SIMULATED].data
         scenarios = levels_of(real, {})
         for errors in ("white", "fit-1-32", "fit-33-65"):
-            for (tracks, every), scenario in levels_of(simulated, {"errors": errors}).items():
+            for levels, scenario in levels_of(simulated, {"errors": errors}).items():
+                if levels not in scenarios:
+                    continue
+                tracks, every = levels
                 ranges = "one range" if every == "0" else f"a range every {every} frames"
                 seen = f"Vesta, {tracks} tracks, {ranges}; simulated: {errors}"
-                yield from reality_rows(seen, (real, scenarios[tracks, every]), (simulated, scenario), shared=True)
+                yield from reality_rows(seen, (real, scenarios[levels]), (simulated, scenario), shared=True)
 
 
 def _views(run: FinishedRun) -> Iterator[NamedFigure]:
@@ -83,8 +87,11 @@ def _shares(run: FinishedRun) -> Iterator[NamedFigure]:
 
 
 def _levels(run: RunData) -> list[str]:
-    """Name the scenarios of the real and of the rendered images."""
-    return [next(iter(levels_of(run, {"images": level}).values())) for level in ("real", "rendered")]
+    """Name the scenarios of the real and of the rendered images; raise BoresightError if the run has not both."""
+    found = [levels_of(run, {"images": level}) for level in ("real", "rendered")]
+    if not all(found):
+        raise BoresightError(f"{run.folder}: has not both real images and renderings of their views: run it again")
+    return [next(iter(names.values())) for names in found]
 
 
 def _table(found: Mapping[str, FinishedRun]) -> list[Grid]:

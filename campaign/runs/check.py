@@ -57,7 +57,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
         if limit is not None and trials > limit:
             entry = campaign.entry("trials") if trials == campaign.spec.trials else None
             asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
-            raise BoresightError(f"{asked}: {scenario.spec.name} has real images for {limit} trials at most")
+            raise BoresightError(f"{asked}: {scenario.spec.name} has images for {limit} trials at most")
 
 
 def check_data(campaign: ResolvedCampaign) -> None:

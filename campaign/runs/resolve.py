@@ -86,7 +86,7 @@ def _check_databases(loaded: LoadedCampaign, kind: type[Trials], scenarios: Sequ
     for scenario in scenarios:
         if scenario.spec.images is not None:
             raise BoresightError(
-                f"{key}: {scenario.spec.name} has real images, of which each trial shares one with others already:"
+                f"{key}: {scenario.spec.name} has a set of images, of which each trial shares one with others already:"
                 " leave the key out"
             )
     if not kind.databases:

@@ -224,7 +224,13 @@ class PosedImageSet:
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:
             raise BoresightError(f"{path}: file: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
-        return cls(folder, camera, spec, table, sources)
+        images = cls(folder, camera, spec, table, sources)
+        for one in spec.moved:
+            depths_m = [images.view(i, one.name).T_cam_body.translation_m[2] for i in range(len(images))]
+            if min(depths_m) <= 0.0:
+                name = images.names[int(np.argmin(depths_m))]
+                raise BoresightError(f"{path}: images.moved: {one.name} puts the body of {name} behind the camera")
+        return images
 
     def __len__(self) -> int:
         return len(self.table.files)

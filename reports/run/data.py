@@ -14,7 +14,7 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from boresight.reports.schema.column import names
-from boresight.reports.schema.tables import ALL_ROW_COLUMNS, TABLES, columns_of, layout, refuse_older
+from boresight.reports.schema.tables import ALL_ROW_COLUMNS, TABLES, columns_of, kind_schema, layout, refuse_older
 from boresight.scenarios.checksums import refuse_damaged
 from boresight.scenarios.errors import BoresightError, printable
 from boresight.scenarios.known import Known, known_on_board
@@ -163,7 +163,7 @@ class RunData:
 
     @cached_property
     def image_of_trial(self) -> pd.Series:
-        """Names of real images by scenario and trial, '' where the image was rendered."""
+        """Names of images of a set by scenario and trial, '' where there is no set."""
         return self.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
 
     @cached_property
@@ -284,11 +284,16 @@ def _read_manifest(path: Path) -> Manifest:
     try:
         found = plain_json(path)
         refuse_older(found, path)
-        return held_to(Manifest, _without_control(found))
+        manifest = held_to(Manifest, _without_control(found))
     except FileNotFoundError:
         raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
     except (OSError, ValueError) as error:
         raise unreadable(path, "a manifest", error) from error
+    try:
+        kind_schema(manifest.experiment)
+    except BoresightError as error:
+        raise BoresightError(f"{path}: campaign.{error}") from None
+    return manifest
 
 
 def _without_control(found: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,18 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.intervals import FEW, LEVEL, content_rng, draw_counts
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import BoolArray, FloatArray
 
 WITHIN = (0.7, 1.4)
 """Ratios of the medians that count as predicted."""
 _CENTRAL = (0.05, 0.95)
 _TEXT = ("seen", "method", "in the central 90 %", "verdict")
 _NOTE = (
-    "Median position error of the trials with an estimate; of sequences that of the last frame. The interval of 95 % of"
-    " a ratio is that of resampled images, the same for both where both have them; where tracks share their images, of"
-    f" the simulated trials alone. As predicted: it lies within {WITHIN[0]:g} to {WITHIN[1]:g}; differs: outside; open:"
-    " neither; no interval: fewer than ten images. The central 90 % are those of the simulated errors. The real error"
-    " also has that of the reference pose."
+    "Median position error of the trials with an estimate, where both have the same images of those with one in both;"
+    " of sequences that of the last frame. The interval of 95 % of a ratio is that of resampled images, the same for"
+    " both where both have them; where tracks share their images, of the simulated trials alone. As predicted: it lies"
+    f" within {WITHIN[0]:g} to {WITHIN[1]:g}; differs: outside; open: neither; no interval: fewer than ten images with"
+    " an estimate. The central 90 % are those of the simulated errors. The real error also has that of the reference."
 )
 
 
@@ -46,6 +46,15 @@ class Side:
     def found(self) -> FloatArray:
         """The errors of the trials with an estimate."""
         return self.error_m[np.isfinite(self.error_m)]
+
+    @property
+    def units_found(self) -> int:
+        """How many units have an estimate."""
+        return len(np.unique(self.unit[np.isfinite(self.error_m)]))
+
+    def where(self, kept: BoolArray) -> Side:
+        """Keep the errors of some trials; the others count as without an estimate."""
+        return replace(self, error_m=np.where(kept, self.error_m, np.nan))
 
     @property
     def median_m(self) -> float:
@@ -74,7 +83,7 @@ def ratio_interval(real: Side, simulated: Side, *, shared: bool = False) -> tupl
     data, and only those of the simulated one are drawn.
     """
     ours, theirs = np.unique(real.unit), np.unique(simulated.unit)
-    if len(theirs) < FEW or (not shared and len(ours) < FEW):
+    if simulated.units_found < FEW or (not shared and real.units_found < FEW):
         return None
     rng = content_rng(real.error_m, simulated.error_m)
     of_simulated = np.vstack(list(draw_counts(len(theirs), rng)))
@@ -84,11 +93,13 @@ def ratio_interval(real: Side, simulated: Side, *, shared: bool = False) -> tupl
         tops = real.medians_m(ours, of_simulated)
     else:
         tops = real.medians_m(ours, np.vstack(list(draw_counts(len(ours), rng))))
-    ratios = tops / simulated.medians_m(theirs, of_simulated)
-    ratios = ratios[np.isfinite(ratios)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = tops / simulated.medians_m(theirs, of_simulated)
+    if not np.isfinite(ratios).all():
+        return None
     tail = 50.0 * (1.0 - LEVEL)
-    low, high = np.percentile(ratios, [tail, 100.0 - tail]) if len(ratios) else (np.nan, np.nan)
-    return (float(low), float(high)) if np.isfinite([low, high]).all() else None
+    low, high = np.percentile(ratios, [tail, 100.0 - tail])
+    return float(low), float(high)
 
 
 def verdict(interval: tuple[float, float] | None) -> str:
@@ -108,17 +119,24 @@ def reality_rows(
     labels = [set(run.rows.loc[run.rows["scenario"] == scenario, "estimator"]) for run, scenario in (real, simulated)]
     for label in (one for one in real[0].manifest.estimators if one in labels[0] & labels[1] and one != CONTROL):
         ours, theirs = Side.of(*real, label), Side.of(*simulated, label)
-        ends = np.quantile(theirs.found, _CENTRAL) if len(theirs.found) else (np.nan, np.nan)
-        ratio, interval = ours.median_m / theirs.median_m, ratio_interval(ours, theirs, shared=shared)
+        counts = f"{len(ours.found)}/{len(ours.error_m)}", f"{len(theirs.found)}/{len(theirs.error_m)}"
+        if np.array_equal(ours.unit, theirs.unit):
+            both = np.isfinite(ours.error_m) & np.isfinite(theirs.error_m)
+            ours, theirs = ours.where(both), theirs.where(both)
+        interval = ratio_interval(ours, theirs, shared=shared)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = float(np.divide(ours.median_m, theirs.median_m))
+        low, high = np.quantile(theirs.found, _CENTRAL) if len(theirs.found) else (np.nan, np.nan)
+        central = "yes" if low <= ours.median_m <= high else "no"
         of_ratio = f" [{number(interval[0])}, {number(interval[1])}]" if interval else ""
         yield {
             "seen": seen,
             "method": label,
             "real, m": _printed(ours.median_m),
-            "ok, real": f"{len(ours.found)}/{len(ours.error_m)}",
+            "ok, real": counts[0],
             "simulated, m": _printed(theirs.median_m),
-            "ok, simulated": f"{len(theirs.found)}/{len(theirs.error_m)}",
-            "in the central 90 %": "yes" if ends[0] <= ours.median_m <= ends[1] else "no",
+            "ok, simulated": counts[1],
+            "in the central 90 %": central if np.isfinite(ratio) else NO_VALUE,
             "ratio [95 %]": _printed(ratio) + of_ratio,
             "verdict": verdict(interval) if np.isfinite(ratio) else NO_VALUE,
         }

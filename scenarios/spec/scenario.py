@@ -79,9 +79,12 @@ class ImageSetSpec(SpecModel):
         description="Those of truth and also_score that were found by aligning renderings of the shape with the images:"
         " reports say that errors against them are correlated with those of methods that do the same",
     )
-    moved: tuple[MovedPosesSpec, ...] = Field((), description="Further poses, with the shape in another place")
+    moved: tuple[MovedPosesSpec, ...] = Field(
+        (), exclude_if=lambda value: not value, description="Further poses, with the shape in another place"
+    )
     rendered: bool = Field(
         False,
+        exclude_if=lambda value: not value,
         description="Render the views of the images with the pose of truth, through detector, in place of reading them",
     )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
@@ -105,6 +108,8 @@ class ImageSetSpec(SpecModel):
             raise ValueError(f"moved: {idle[0]} is neither truth nor in also_score: name it there, or leave it out")
         if len(set(names)) < len(names):
             raise ValueError(f"moved: two have the name {max(names, key=names.count)}")
+        if shadows := [one.of for one in self.moved if one.of in names]:
+            raise ValueError(f"moved: {shadows[0]} is both a name and the poses that are moved: choose another name")
 
     def place_of(self, name: str) -> MovedPosesSpec | None:
         """Return the moved poses of a name; None for poses as the table has them."""

@@ -25,6 +25,7 @@ from boresight.scenarios.spec.scenario import ImageSetSpec
 
 CAMERA = Camera.from_fov(24, 16, 0.1)
 NAVCAM, SHAPE = "images/rosetta_navcam_67p", "shapes/67p-16k.obj"
+BEHIND = tuple((-6000.0 * Rotation.from_euler("xyz", [100, 20, -30], degrees=True).as_matrix()[2]).tolist())
 MSI = "images/near_msi/m0126865998f4_2p_iof.fit"
 
 
@@ -116,6 +117,11 @@ def test_a_moved_shape_lies_where_its_points_lie_in_the_axes_of_the_table(tmp_pa
         ({"also_score": ("moved",), "moved": ({"name": "moved", "of": "third"},)}, "missing column third_qw"),
         ({"also_score": ("moved",), "moved": ({"name": "moved", "of": ""},)}, "at least 1 character"),
         ({"also_score": ("moved",), "moved": ({"name": "moved", "of": "label", "origin_m": (1, 2)},)}, "origin_m"),
+        (
+            {"also_score": ("moved",), "moved": ({"name": "moved", "of": "ref", "origin_m": BEHIND},)},
+            "moved puts the body of a.png behind the camera",
+        ),
+        ({"also_score": ("label",), "moved": ({"name": "label", "of": "label"},)}, "both a name and the poses"),
         ({"also_score": ("moved",), "moved": 2 * ({"name": "moved", "of": "label"},)}, "two have the name moved"),
     ],
 )

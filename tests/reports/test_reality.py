@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +14,7 @@ from boresight.campaign.papers.reality import PAPER
 from boresight.campaign.store import RunFolder
 from boresight.reports.run.data import read_run
 from boresight.reports.statistics.reality import Side, levels_of, ratio_interval, reality_rows, verdict
+from boresight.scenarios.errors import BoresightError
 
 
 def side(error_m, unit) -> Side:
@@ -100,9 +103,41 @@ def test_the_table_has_a_line_for_each_method_that_both_have(both):
     (line,) = reality_rows("67P", (run, "views-real"), (run, "views-rendered"))
     assert line["method"] == "lmaps"
     assert (line["ok, real"], line["ok, simulated"]) == ("23/24", "24/24")
-    assert (line["real, m"], line["simulated, m"]) == ("48.0", "15.5")
-    assert line["ratio [95 %]"].startswith("3.10 [")
+    assert (line["real, m"], line["simulated, m"]) == ("48.0", "16.0")
+    assert line["ratio [95 %]"].startswith("3.00 [")
     assert (line["in the central 90 %"], line["verdict"]) == ("no", "differs")
+
+
+def test_medians_are_of_trials_with_an_estimate_on_both_sides(both):
+    run = read_run(both)
+    run.rows.loc[(run.rows["scenario"] == "views-rendered") & (run.rows["trial"] >= 12), "status"] = "failed"
+    (line,) = reality_rows("67P", (run, "views-real"), (run, "views-rendered"))
+    assert (line["ok, real"], line["ok, simulated"]) == ("23/24", "12/24")
+    # Trials 0 to 11 without 5, which failed on the real side.
+    assert line["real, m"] == f"{3 * np.median([10 + i for i in range(12) if i != 5]):.1f}"
+    assert line["ratio [95 %]"].startswith("3.00 [")
+
+
+@pytest.mark.parametrize("solved", [1, 9, 10])
+def test_an_interval_needs_ten_images_with_an_estimate(solved):
+    names, error_m = np.arange(20), np.arange(1.0, 21.0)
+    few = side(np.where(names < solved, error_m, np.nan), names)
+    assert (ratio_interval(few, side(error_m, names)) is None) == (solved < 10)
+    assert (ratio_interval(side(error_m, names), few) is None) == (solved < 10)
+
+
+def test_a_ratio_without_a_value_is_none(both):
+    run = read_run(both)
+    run.rows.loc[run.rows["scenario"] == "views-rendered", "position_error_m"] = 0.0
+    (line,) = reality_rows("67P", (run, "views-real"), (run, "views-rendered"))
+    assert [line[name] for name in ("ratio [95 %]", "in the central 90 %", "verdict")] == ["-", "-", "-"]
+
+
+def test_a_run_of_before_the_renderings_is_named(both):
+    manifest = json.loads((both / "manifest.json").read_text())
+    (both / "manifest.json").write_text(json.dumps({**manifest, "grid": None}))
+    with pytest.raises(BoresightError, match="has not both real images and renderings of their views: run it again"):
+        PAPER.table({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
 
 
 def test_the_page_draws_the_runs_that_are_there(both):
