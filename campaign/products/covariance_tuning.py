@@ -26,7 +26,7 @@ from boresight.estimators.tuned import (
     Rehearsals,
     Rehearsed,
     check_solved,
-    fit_factor,
+    fit_tuning,
 )
 from boresight.renderers.detector import Detector
 from boresight.scenarios.arrays import FloatArray
@@ -50,9 +50,10 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
         found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place))
     solved = [one for one in found if one is not None]
     check_solved(len(solved), options.trials, options.base)
-    tuning = CovarianceTuning(fit_factor(solved), len(solved), options.trials)
+    tuning = fit_tuning(solved, options.trials)
     tuning.save(folder)
-    return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": f"{tuning.solved} of {tuning.trials}"}
+    solved_of = f"{tuning.solved} of {tuning.trials}"
+    return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": solved_of, "wrong": tuning.wrong}
 
 
 def _check_errors(errors: AssumedErrors, detail: DetailSpec | None) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.prior import floor_variances
-from boresight.estimators.tuned import CovarianceTuning, Rehearsed, check_solved, fit_factor, tuned_covariance
+from boresight.estimators.tuned import CovarianceTuning, Rehearsed, check_solved, fit_tuning, tuned_covariance
 from boresight.scenarios.errors import BoresightError
 
 rng = np.random.default_rng(8)
@@ -44,7 +44,10 @@ def test_the_factor_is_found_again(true_factor):
         true = np.linalg.inv(np.linalg.inv(image) / true_factor + np.linalg.inv(prior))
         rehearsed.append(Rehearsed(np.linalg.cholesky(true) @ rng.standard_normal(6), stated, prior))
     # The mean of 1,500 chi-squares of 6 degrees of freedom is known to 1.5 % (1 sigma).
-    assert fit_factor(rehearsed) == pytest.approx(true_factor, rel=0.06)
+    found = fit_tuning(rehearsed, 1600)
+    assert found.factor == pytest.approx(true_factor, rel=0.06)
+    assert (found.solved, found.trials) == (1500, 1600)
+    assert found.wrong <= 6, "1.5 are expected"
 
 
 def test_directions_without_error_do_not_count():
@@ -53,12 +56,26 @@ def test_directions_without_error_do_not_count():
     image = np.diag([1.0, 1.0, 1.0, 4.0, 9.0, 25.0])
     stated = np.linalg.inv(np.linalg.inv(image) + np.linalg.inv(floor_variances(prior)))
     errors = rng.standard_normal((1500, 6)) * np.sqrt(np.diag(stated)) * [0, 0, 0, 1, 1, 1]
-    assert fit_factor([Rehearsed(error, stated, prior) for error in errors]) == pytest.approx(1.0, rel=0.06)
+    found = fit_tuning([Rehearsed(error, stated, prior) for error in errors], 1500)
+    assert found.factor == pytest.approx(1.0, rel=0.06)
+
+
+def test_wrong_answers_are_counted_and_do_not_make_the_factor():
+    """Five of a hundred answers are a thousand sigma off: a mean of all would have a factor of 10,000 and more."""
+    prior, stated = np.diag(1e8 * SCALES**2), np.diag(SCALES**2)
+    errors = 2.0 * rng.standard_normal((100, 6)) * SCALES
+    errors[::20] = 1e3 * SCALES
+    found = fit_tuning([Rehearsed(error, stated, prior) for error in errors], 100)
+    right = fit_tuning([Rehearsed(error, stated, prior) for i, error in enumerate(errors) if i % 20], 95)
+    assert found.wrong == 5
+    # Each counts as one at the 99 % ellipsoid, 16.8 in place of 6.
+    assert right.factor < found.factor < 1.3 * right.factor
+    assert right.factor == pytest.approx(4.0, rel=0.25)
 
 
 def test_an_answer_beyond_all_bounds_has_the_largest_factor():
     prior = np.diag(SCALES**2)
-    assert fit_factor([Rehearsed(1e3 * SCALES, 1e-4 * prior, prior)]) == 1e8
+    assert fit_tuning([Rehearsed(1e3 * SCALES, 1e-4 * prior, prior)], 1).factor == pytest.approx(1e8)
 
 
 def test_few_answers_are_refused():
@@ -68,7 +85,7 @@ def test_few_answers_are_refused():
 
 
 def test_a_tuning_is_read_as_written(tmp_path):
-    tuning = CovarianceTuning(2.5, 57, 60)
+    tuning = CovarianceTuning(2.5, 3, 57, 60)
     tuning.save(tmp_path)
     assert CovarianceTuning.load(tmp_path) == tuning
     (tmp_path / "tuning.json").write_text("{")
