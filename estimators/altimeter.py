@@ -198,7 +198,7 @@ class AltimeterEstimator:
     """
 
     name: ClassVar[str] = "landmark-altimeter"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = AltimeterOptions
     base: ClassVar[str] = "landmark-harris"
     sensors: ClassVar[frozenset[str]] = frozenset({"altimeter"})

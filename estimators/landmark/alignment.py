@@ -13,12 +13,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy import fft
 
 from boresight.estimators.contract import ImageRenderer, Stopwatch
 from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.spec.base import SpecModel
+
+_CUT_SHARE = 0.05
+"""Share of the border's pixels above which the frame cuts the body."""
+_LEAST_OVERLAP = 0.4
 
 Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
 """(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""
@@ -131,8 +136,12 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """Shift (du, dv) in px that moves the rendered image onto the observed one.
 
     Both backgrounds are 0, so the sum of squared differences is least where the cross-correlation is greatest; a
-    parabola interpolates the peak. The search covers all shifts that keep half of the lit part in the image.
+    parabola interpolates the peak. The search covers all shifts that keep half of the lit part in the image. Where the
+    observed body is cut by the frame, that sum would count the part outside as dark: see `_shift_of_overlap`.
     """
+    border = np.concatenate([observed[0], observed[-1], observed[:, 0], observed[:, -1]])
+    if np.count_nonzero(border) > _CUT_SHARE * len(border):
+        return _shift_of_overlap(observed, rendered)
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())
     # Cut to its lit part, so that padding by half of it covers all shifts that keep half in the image.
@@ -146,6 +155,50 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
     dv = row + _peak_offset(correlation[:, column], row) - pad_rows - top
     du = column + _peak_offset(correlation[row], column) - pad_columns - left
     return np.array([du, dv], dtype=np.float64)
+
+
+def _shift_of_overlap(observed: Image, rendered: Image) -> FloatArray:
+    """Shift of images that the frame cuts: greatest correlation coefficient over what they have in common.
+
+    Padfield (2012), IEEE Transactions on Image Processing 21, 2706, equations (9) to (12) with the whole frames as
+    masks: sums over the overlap are correlations too. At least 0.4 of the frame are in common. Both images are
+    band-passed, from 1/256 to 1/32 of the frame's height, as albedo and reflectance differ most at large scales.
+    """
+    height, width = observed.shape
+    shape = [fft.next_fast_len(2 * side - 1, real=True) for side in (height, width)]
+
+    def spectrum(image: FloatArray) -> NDArray[np.complex128]:
+        return np.asarray(fft.rfft2(image, shape), dtype=np.complex128)
+
+    def correlated(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> FloatArray:
+        return np.asarray(fft.irfft2(one * np.conj(other), shape), dtype=np.float64)
+
+    first, second = (_band_passed(image, height / 256.0, height / 32.0) for image in (observed, rendered))
+    frame, one, other = spectrum(np.ones((height, width))), spectrum(first), spectrum(second)
+    count = np.maximum(np.round(correlated(frame, frame)), 1.0)
+    sum_one, sum_other = correlated(one, frame), correlated(frame, other)
+    covariance = correlated(one, other) - sum_one * sum_other / count
+    spread_one = correlated(spectrum(first**2), frame) - sum_one**2 / count
+    spread_other = correlated(frame, spectrum(second**2)) - sum_other**2 / count
+    scale = np.sqrt(np.maximum(spread_one, 0.0) * np.maximum(spread_other, 0.0))
+    usable = (count >= _LEAST_OVERLAP * height * width) & (scale > 1e-9 * scale.max())
+    coefficient = np.where(usable, covariance / np.where(usable, scale, 1.0), -1.0)
+    row, column = (int(i) for i in np.unravel_index(int(coefficient.argmax()), coefficient.shape))
+    # Shifts up and to the left are at the end of the axes.
+    down, right = (
+        place - size if place > size // 2 else place for place, size in zip((row, column), shape, strict=True)
+    )
+    around_row, around_column = (
+        np.arange(place - 1, place + 2) % size for place, size in zip((row, column), shape, strict=True)
+    )
+    dv = down + _peak_offset(coefficient[around_row, column].astype(np.float32), 1)
+    du = right + _peak_offset(coefficient[row, around_column].astype(np.float32), 1)
+    return np.array([du, dv], dtype=np.float64)
+
+
+def _band_passed(image: Image, fine_px: float, coarse_px: float) -> FloatArray:
+    smooth = [cv2.GaussianBlur(image.astype(np.float64), (0, 0), sigma) for sigma in (fine_px, coarse_px)]
+    return np.asarray(smooth[0] - smooth[1], dtype=np.float64)
 
 
 def _peak_offset(profile: NDArray[np.float32], peak: int) -> float:

@@ -58,7 +58,7 @@ class CentroidAligner:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
     def __init__(self, renderer: ImageRenderer, options: CentroidOptions) -> None:

@@ -267,7 +267,7 @@ class LandmarkRecognizer:
     """
 
     name: ClassVar[str] = "landmark-harris"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = LandmarkOptions
 
     def __init__(

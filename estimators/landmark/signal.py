@@ -21,6 +21,7 @@ _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16
 _FULL_SCALE_PERCENTILE = 99.0
 _MAD_TO_SIGMA = 1.4826
+_COVERED, _CLEAR_SIGMA = 0.1, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +57,7 @@ def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None
     if not np.isfinite(frame.image).all():
         return "the image holds NaN or infinite pixels"
     with nullcontext() if clock is None else clock("centroid"):
-        signal = extract_signal(frame.image)
+        signal = extract_signal(frame.image, _observed_sky(frame.image))
     return "the image is black: nothing above its background" if signal.empty else signal.image
 
 
@@ -74,6 +75,19 @@ def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
     darkest = int(np.argmin(medians))
     level = medians[darkest]
     return level, float(_MAD_TO_SIGMA * np.median(np.abs(blocks[darkest] - level)))
+
+
+def _observed_sky(image: NDArray[np.float32]) -> tuple[float, float]:
+    """Level and standard deviation of the sky as `background_level`, or of shadows where no corner shows sky.
+
+    The darkest corner is then brighter than a tenth of the image's range, and than what the differences of neighbouring
+    pixels have of noise. The darkest hundredth of the pixels are taken for black, and no noise is told from texture.
+    """
+    level, noise = background_level(image)
+    low, high = (float(value) for value in np.percentile(image, (1.0, _FULL_SCALE_PERCENTILE)))
+    of_pixels = _MAD_TO_SIGMA / np.sqrt(2.0) * float(np.median(np.abs(np.diff(image, axis=1))))
+    covered = level - low > max(_COVERED * (high - low), _CLEAR_SIGMA * of_pixels)
+    return (low, 0.0) if covered else (level, noise)
 
 
 def extract_signal(

@@ -1,5 +1,6 @@
 """Centroid, whole-image alignment and the loop that shifts the mesh, on images drawn by formula."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,8 +15,9 @@ from boresight.estimators.landmark.alignment import (
     correlation_pair,
     translation_update,
 )
-from boresight.estimators.landmark.signal import extract_signal
+from boresight.estimators.landmark.signal import extract_signal, observed_signal
 from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Frame
 
 CAMERA = Camera(256, 200, 800.0, 800.0, 128.0, 100.0)
 RADIUS_M = 60.0
@@ -142,6 +144,32 @@ def test_the_best_shift_is_the_shift(shift):
     np.testing.assert_allclose(found, shift, atol=0.15)
 
 
+def scenery(seed=3) -> np.ndarray:
+    """Texture without an end, larger than a frame."""
+    rng = np.random.default_rng(seed)
+    fine, coarse = (cv2.GaussianBlur(rng.standard_normal((400, 500)), (0, 0), sigma) for sigma in (3.0, 20.0))
+    return (1.0 + 0.5 * fine / fine.std() + 0.5 * coarse / coarse.std()).clip(0.05).astype(np.float32)
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (23, -14), (-60, 35)])
+@pytest.mark.parametrize("sky", [0, 100, 180])
+def test_a_body_that_the_frame_cuts_is_shifted_by_what_both_have_in_common(shift, sky):
+    """Ground that fills the frame, or with ``sky`` columns of it dark on the left; the renderer has other albedo."""
+    ground, (du, dv) = scenery(), shift
+    ground[:, : 100 + sky] = np.where(sky, 0.0, ground[:, : 100 + sky])
+    albedo = np.linspace(0.7, 1.3, 256, dtype=np.float32)
+    rendered = ground[100:300, 100:356]
+    observed = 3.0 * albedo * ground[100 - dv : 300 - dv, 100 - du : 356 - du]
+    np.testing.assert_allclose(best_shift(observed, rendered), shift, atol=0.3)
+
+
+def test_a_shift_between_pixels_is_found_where_the_frame_cuts_the_body():
+    ground = scenery()
+    moved = cv2.warpAffine(ground, np.float32([[1, 0, 5.4], [0, 1, -3.3]]), (500, 400), flags=cv2.INTER_CUBIC)
+    found = best_shift(moved[100:300, 100:356], ground[100:300, 100:356])
+    np.testing.assert_allclose(found, (5.4, -3.3), atol=0.1)
+
+
 def test_the_image_aligns_where_the_centroid_is_misled():
     observed = blob(120.0, 100.0)
     observed[:, 150:] = 0.0  # a part in a shadow that the mesh does not cast
@@ -150,3 +178,23 @@ def test_the_image_aligns_where_the_centroid_is_misled():
     by_image = np.subtract(*correlation_pair(observed, rendered, np.array([110.0, 108.0])))
     error = [np.linalg.norm(found - (10.0, -8.0)) for found in (by_centroid, by_image)]
     assert error[1] < 0.5 * error[0]
+
+
+def frame_of(image) -> Frame:
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 1000.0]))
+    return Frame(image.astype(np.float32), np.array([0.0, 0.0, -1.0]), pose, np.eye(6))
+
+
+def test_a_body_that_covers_all_corners_is_not_taken_for_sky():
+    """The image is that of a detector with an offset, of ground with shadows, and the same with sky in one corner."""
+    ground = 200.0 * scenery()[100:300, 100:356] + 40.0
+    ground[90:110, 60:90] = 40.0
+    signal = observed_signal(frame_of(ground), CAMERA)
+    assert np.count_nonzero(signal) > 0.9 * signal.size
+    assert not signal[95:105, 65:85].any(), "a shadow is black"
+    noise = np.random.default_rng(1).normal(0.0, 2.0, ground.shape)
+    with_sky = ground + noise
+    with_sky[:30, :30] = 40.0 + noise[:30, :30]
+    np.testing.assert_array_equal(
+        observed_signal(frame_of(with_sky), CAMERA), extract_signal(with_sky.astype(np.float32)).image
+    )
