@@ -47,7 +47,7 @@ _GROUPS = (
     ("real data", ("*-real", "*-navcam67p")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
-    ("compare", ("trade-*", "compare-*")),
+    ("compare", ("trade-*", "compare-*", "partial-*")),
 )
 """Headings of ``list`` with the names below them, in their order; a campaign belongs to the first that fits."""
 
