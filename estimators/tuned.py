@@ -159,21 +159,21 @@ def fit_tuning(rehearsed: Sequence[Rehearsed], trials: int) -> CovarianceTuning:
     shares = np.array([of for (of, _), _ in parts])
     squares = np.array([(axes.T @ error) ** 2 for (_, axes), error in parts])
 
-    def weighed(exponent: float) -> FloatArray:
-        return np.asarray(np.sum(squares / _tuned(shares, np.exp(exponent)), axis=1), dtype=np.float64)
+    def weighed(factor: float) -> FloatArray:
+        return np.asarray(np.sum(squares / _tuned(shares, factor), axis=1), dtype=np.float64)
 
     def excess(exponent: float) -> float:
-        return float(np.mean(np.minimum(weighed(exponent), cap)) - expected)
+        return float(np.mean(np.minimum(weighed(np.exp(exponent)), cap)) - expected)
 
     most = float(np.log(_LARGEST_FACTOR))
     if excess(most) >= 0.0:
-        found = most
+        factor = _LARGEST_FACTOR
     elif excess(-most) <= 0.0:
-        found = -most
+        factor = 1.0 / _LARGEST_FACTOR
     else:
-        found = float(brentq(excess, -most, most, xtol=1e-6))
-    wrong = int((weighed(found) > chi2.ppf(_WRONG_SHARE, freedom)).sum())
-    return CovarianceTuning(float(np.exp(found)), wrong, len(rehearsed), trials)
+        factor = float(np.exp(brentq(excess, -most, most, xtol=1e-6)))
+    wrong = int((weighed(factor) > chi2.ppf(_WRONG_SHARE, freedom)).sum())
+    return CovarianceTuning(factor, wrong, len(rehearsed), trials)
 
 
 def check_solved(solved: int, trials: int, base: str) -> None:

@@ -129,7 +129,7 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         sun = _errors(f"Sun as the pose {spec.images.truth} has it", {"": onboard.sun_error_deg})
         return Known((sun, *_pose(spec), *_nots(*unknown)), ("The images are real",), spec.images.aligned)
     if experiment not in _OF_IMAGES:
-        raise BoresightError(f"experiment: {experiment!r}: nobody has said what is known on board in such trials")
+        raise BoresightError(f"experiment: {experiment!r}: it is not stated what is known on board in such trials")
     if experiment == "pose-convergence":  # landmark errors are drawn from the covariances that solvers use
         exact = _exacts("camera", "which landmark is which", "covariances that the landmarks are drawn from")
         return Known((*exact, *_pose(spec), *_nots("places of the landmarks")))

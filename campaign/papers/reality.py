@@ -1,4 +1,4 @@
-"""What real images and tracks give next to what was simulated of them: one table over the campaigns on real data."""
+"""Errors on real images and tracks next to the simulated ones: one table over the campaigns on real data."""
 
 from __future__ import annotations
 

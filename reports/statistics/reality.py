@@ -49,7 +49,7 @@ class Side:
 
     @property
     def units_found(self) -> int:
-        """How many units have an estimate."""
+        """Number of units with an estimate."""
         return len(np.unique(self.unit[np.isfinite(self.error_m)]))
 
     def where(self, kept: BoolArray) -> Side:

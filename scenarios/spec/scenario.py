@@ -298,7 +298,7 @@ class ScenarioSpec(SpecModel):
 
     @property
     def real(self) -> bool:
-        """Whether the images of single views are real."""
+        """True if the images of single views are real ones."""
         return self.images is not None and not self.images.rendered
 
     @property
