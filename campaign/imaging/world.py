@@ -90,69 +90,45 @@ class RenderedImageSource:
         )
 
 
-def image_of_trial(images: ImageSet, realisations: int, trial: int) -> int:
-    """Return the index of a trial's image; raise BoresightError if there are not so many trials."""
-    if trial >= len(images) * realisations:
-        raise BoresightError(
-            f"trial {trial}: the image set has {len(images)} images x {realisations} noise realisations: ask for at"
-            f" most {len(images) * realisations} trials"
-        )
-    return trial % len(images)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class RealImageSource:
-    """Source of real images: trial t has image t modulo their number, so that few trials cover many images."""
+class ImageSetSource:
+    """Source of the images of a set: trial t has image t modulo their number, so that few trials cover many images.
 
-    images: ImageSet
-    truth: str
-    further: tuple[str, ...]
-    realisations: int
-
-    def trial_image(self, seed: int, trial: int) -> TrialImage:
-        """Read the trial's image."""
-        index = image_of_trial(self.images, self.realisations, trial)
-        return TrialImage(
-            self.images.image(index),
-            self.images.view(index, self.truth),
-            {name: self.images.view(index, name) for name in (self.truth, *self.further)},
-            self.images.names[index],
-            self.images.time_s(index),
-        )
-
-    def view(self, seed: int, trial: int) -> View:
-        """Return the view of the reference pose of the trial's image."""
-        del seed
-        return self.images.view(trial % len(self.images), self.truth)
-
-    def flush(self) -> None:
-        """Do nothing, as real images are files already."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RenderedSetSource:
-    """Source of renderings of the views of real images: trial t has the view of image t modulo their number."""
+    ``poses`` names all poses to score against. With an ``imager`` views are rendered in place of reading images.
+    """
 
     images: ImageSet
     realisations: int
-    imager: Imager
+    poses: tuple[str, ...] = ()
+    imager: Imager | None = None
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
-        """Render the view of the trial's image and expose the detector."""
-        index = image_of_trial(self.images, self.realisations, trial)
+        """Read the trial's image, or render its view and expose the detector."""
+        if trial >= len(self.images) * self.realisations:
+            raise BoresightError(
+                f"trial {trial}: the image set has {len(self.images)} images x {self.realisations} noise"
+                f" realisations: ask for at most {len(self.images) * self.realisations} trials"
+            )
+        index, from_store = trial % len(self.images), False
         view = self.images.view(index)
-        # One rendering of a view serves all its trials.
-        image, from_store = self.imager.image(view, seed, index, generator(seed, Stream.DETECTOR, trial))
-        return TrialImage(image, view, {}, self.images.names[index], self.images.time_s(index), from_store)
+        if self.imager is None:
+            image = self.images.image(index)
+        else:
+            # One rendering of a view serves all its trials.
+            noise = generator(seed, Stream.DETECTOR, trial)
+            image, from_store = self.imager.image(view, seed, index, noise)
+        further = {name: self.images.view(index, name) for name in self.poses}
+        return TrialImage(image, view, further, self.images.names[index], self.images.time_s(index), from_store)
 
     def view(self, seed: int, trial: int) -> View:
-        """Return the view of the trial's image."""
+        """Return the view of the trial's image, with the reference pose."""
         del seed
         return self.images.view(trial % len(self.images))
 
     def flush(self) -> None:
         """Write rendered images to the store."""
-        self.imager.flush()
+        if self.imager is not None:
+            self.imager.flush()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +139,7 @@ class World:
     camera: Camera
     body: Body
     renderer: BodyRenderer
-    source: RenderedImageSource | RealImageSource | RenderedSetSource
+    source: RenderedImageSource | ImageSetSource
     ground: CrateredSurface | None = None
 
 
@@ -238,12 +214,12 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     body = load_body(spec.body, scenario.search_dirs)
     if spec.images is not None and spec.images.rendered:
         imager = Imager.open(scenario, variant, Stream.TRUTH, spec.images)
-        shown = RenderedSetSource(open_images(scenario), spec.images.noise_realisations, imager)
-        return World(scenario, camera, body, imager.renderer, shown, imager.ground)
+        views = ImageSetSource(open_images(scenario), spec.images.noise_realisations, imager=imager)
+        return World(scenario, camera, body, imager.renderer, views, imager.ground)
     if spec.images is not None:
         real, ground = spec.images, open_ground(scenario)
         renderer = open_renderer(scenario, variant, ground)
-        source = RealImageSource(open_images(scenario), real.truth, real.also_score, real.noise_realisations)
+        source = ImageSetSource(open_images(scenario), real.noise_realisations, (real.truth, *real.also_score))
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
