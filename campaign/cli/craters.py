@@ -12,28 +12,15 @@ from boresight.campaign.data.crater_pictures import (
     OPTIONS,
     PICTURES,
     RADIUS_MIN_PX,
-    PictureDetection,
     detect_in_picture,
     write_picture,
 )
+from boresight.campaign.data.known_ground import detect_on_known_ground
 from boresight.campaign.data.label_score import LabelMatches, label_quality, score_table
 from boresight.campaign.data.named_craters import detect_real, write_real
 from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.atomic import write_text
-from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-
-MOON = {
-    "choices": ("M115143943", "M1183658592", "M1231933714", "M1275410097", "M161142858", "M161149639"),
-    "report": ("M1155395732", "M1229577647", "M1266003170", "M134022629", "M180000082", "M180007222"),
-}
-"""Images of LROC NAC: which of them choices may look at, and those of the report. Named before the training.
-
-They alternate in the order of their names, and images of successive orbits, which may show the same ground, stay
-together. No network is trained on any of them, nor on their labels.
-"""
-
-MARS, MARS_COLUMNS = ("hrsc_mars_craters/tile1_24.pgm", "hrsc_mars_craters/1_24_gt.csv"), "x,y,diameter"
 
 
 def craters_command(arguments: argparse.Namespace) -> int:
@@ -65,21 +52,13 @@ def craters_command(arguments: argparse.Namespace) -> int:
 
 
 def craters_real_command(arguments: argparse.Namespace) -> int:
-    """Detect craters in each image, and write a table of recall and false alarms for the Moon and for Mars."""
+    """Detect craters in each image; write tables of recall and false alarms for the Moon, Mars and rendered ground."""
     detector = crater_detector_class(arguments.detector).from_options(OPTIONS.get(arguments.detector, {}))
     out = console()
-
-    def detect(image: str, table: str, columns: str = "") -> PictureDetection:
-        paths = [find_data_file(f"images/{name}", (), ".", "image") for name in (image, table)]
-        return detect_in_picture(detector, paths[0], None, paths[1], columns)
-
-    stems = [f"lroc_nac_craters/{name}_mosaic_train_small" for name in MOON[arguments.set]]
-    grounds = {"moon": [(f"{stem}.png", f"{stem}.txt", "") for stem in stems], "mars": [(*MARS, MARS_COLUMNS)]}
     tables = []
-    for ground, images in grounds.items():
+    for ground, pictures in detect_on_known_ground(detector, arguments.set):
         parts, kept = [], []
-        for image in images:
-            found = detect(*image)
+        for found in pictures:
             parts.append(found.matches())
             kept.append(found.above_threshold(parts[-1]))
             out.print(f"{found.name}: {'; '.join(found.summary())}")
@@ -90,7 +69,7 @@ def craters_real_command(arguments: argparse.Namespace) -> int:
             f" found, {int((label == -1).sum())} of {matches.large[np.concatenate(kept)].sum()} detections of that size"
             f" false; {label_quality(matches)}"
         )
-        tables.append(score_table(matches).assign(ground=ground))
+        tables.append(score_table(matches).assign(ground=ground, images=len(parts)))
     scores = pd.concat(tables).round(4)
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)

@@ -136,17 +136,22 @@ def _rims(columns: dict[str, FloatArray]) -> Ellipses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureDetection:
-    """Detections in a picture; ``sun_px`` (2,) points towards the Sun, ``labels`` are None if there are none."""
+    """Detections in a picture; ``sun_px`` (2,) points towards the Sun, ``labels`` are None if there are none.
+
+    Recall is of the labels that ``wanted`` (n,) names; None: of all.
+    """
 
     name: str
     image: Image
     sun_px: FloatArray
     detections: CraterDetections
     labels: Ellipses | None = None
+    wanted: BoolArray | None = None
 
     def matches(self) -> LabelMatches:
         """Match the detections with the labels."""
-        return match_labels(self.detections, self.labels or Ellipses.none(), self.image, RADIUS_MIN_PX)
+        labels = self.labels or Ellipses.none()
+        return match_labels(self.detections, labels, self.image, RADIUS_MIN_PX, self.wanted)
 
     def above_threshold(self, matches: LabelMatches) -> BoolArray:
         """Say which of the matched detections are above the detector's threshold."""
@@ -181,23 +186,30 @@ def detect_in_picture(
     """
     image = open_picture(path)
     labels = read_labels(truth, columns) if truth is not None else None
-    camera = Camera.from_fov(image.shape[1], image.shape[0], _FOV_RAD)
     if labels is not None:
         inside = np.all((labels.centre_px >= 0.0) & (labels.centre_px <= image.shape[::-1]), axis=1)
         if not inside.any():
             raise BoresightError(f"{truth}: no crater has its centre in {path}")
         labels = labels[np.flatnonzero(inside)]
     try:
-        if sun_deg is None:
-            check_image(image, camera)
-            sun_px = estimate_sun(packaged_heat_map(), image, lit_ground(image).astype(np.float32))
-        else:
-            sun_px = np.array([np.cos(np.radians(sun_deg)), np.sin(np.radians(sun_deg))])
-        sun = np.array([*(np.cos(_SUN_ELEVATION_RAD) * sun_px), -np.sin(_SUN_ELEVATION_RAD)])
-        frame = Frame(image, sun, Pose(np.eye(3), np.array([0.0, 0.0, _RANGE_M])), np.eye(6))
-        return PictureDetection(path.name, image, sun_px, detector.detect(frame, camera), labels)
+        return PictureDetection(path.name, image, *detect_in_image(detector, image, sun_deg), labels)
     except BoresightError as error:
         raise BoresightError(f"{path}: {error}") from error
+
+
+def detect_in_image(
+    detector: CraterDetector, image: Image, sun_deg: float | None = None
+) -> tuple[FloatArray, CraterDetections]:
+    """Return (2,) the direction towards the Sun and the craters of an image; see `detect_in_picture`."""
+    camera = Camera.from_fov(image.shape[1], image.shape[0], _FOV_RAD)
+    if sun_deg is None:
+        check_image(image, camera)
+        sun_px = estimate_sun(packaged_heat_map(), image, lit_ground(image).astype(np.float32))
+    else:
+        sun_px = np.array([np.cos(np.radians(sun_deg)), np.sin(np.radians(sun_deg))])
+    sun = np.array([*(np.cos(_SUN_ELEVATION_RAD) * sun_px), -np.sin(_SUN_ELEVATION_RAD)])
+    frame = Frame(image, sun, Pose(np.eye(3), np.array([0.0, 0.0, _RANGE_M])), np.eye(6))
+    return sun_px, detector.detect(frame, camera)
 
 
 def write_picture(found: PictureDetection, folder: Path) -> list[Path]:

@@ -54,10 +54,13 @@ class LabelMatches:
         )  # fmt: skip
 
 
-def match_labels(found: CraterDetections, labels: Ellipses, image: Image, radius_min_px: float) -> LabelMatches:
+def match_labels(
+    found: CraterDetections, labels: Ellipses, image: Image, radius_min_px: float, wanted: BoolArray | None = None
+) -> LabelMatches:
     """Match detections of at least a radius, one to one, the most confident first, each with its nearest free label.
 
-    Labels of any size make a detection right; those below ``radius_min_px`` are left out of the recall.
+    Any label makes a detection right; those below ``radius_min_px``, or not ``wanted`` (n,), are left out of the
+    recall.
     """
     every = found if found.rejected is None else _with_rejected(found)
     rows = np.flatnonzero(every.ellipses.radius_px >= radius_min_px * np.exp(-LOG_RADIUS))
@@ -76,7 +79,7 @@ def match_labels(found: CraterDetections, labels: Ellipses, image: Image, radius
         if np.any(right & free):
             best = int(np.argmin(np.where(right & free, apart, np.inf)))
             free[best], label[i], ratio[i], offset[i] = False, best, log_ratio[best], away[best]
-    big = labels.radius_px >= radius_min_px
+    big = (labels.radius_px >= radius_min_px) & (True if wanted is None else wanted)
     number = np.where(big, np.cumsum(big) - 1, REPEATED)
     label = np.where(label >= 0, number[np.maximum(label, 0)], label)
     # A false alarm below the least size could be a crater that nobody labelled: it has no say.

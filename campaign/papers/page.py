@@ -173,7 +173,7 @@ def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PaperFigure:
-    """A figure of a paper, with the names of the campaigns that it can be drawn from.
+    """A figure of a paper, with the names of the campaigns that it can be drawn from: none if it needs no run.
 
     ``draw`` draws a finished run or, ``together``, those of all campaigns by their names. If it ``rebuilds`` something,
     it is also given the number of workers, None for one for each core or GPU.
@@ -192,7 +192,7 @@ class Paper:
 
     ``campaigns`` are in the order of its sections; those missing from the catalogue are ignored. ``methods`` are the
     names of the paper's; other estimators of a run are not compared with it. ``grids`` returns further tables of a run,
-    ``table`` those of several runs together.
+    ``tables`` each those of several runs together.
     """
 
     title: str
@@ -200,7 +200,7 @@ class Paper:
     methods: tuple[str, ...]
     figures: tuple[PaperFigure, ...]
     grids: Callable[[FinishedRun], list[Grid]]
-    table: Callable[[Mapping[str, FinishedRun]], list[Grid]] = lambda found: []
+    tables: tuple[Callable[[Mapping[str, FinishedRun]], list[Grid]], ...] = ()
 
 
 def paper_called(name: str) -> Paper:
@@ -245,10 +245,11 @@ def paper_page(
         except BoresightError as error:
             missing.append(f"figure {figure.number}: {error}")
     together: list[Grid] = []
-    try:
-        together += paper.table(found)
-    except BoresightError as error:
-        missing.append(str(error))
+    for table in paper.tables:
+        try:
+            together += table(found)
+        except BoresightError as error:
+            missing.append(str(error))
     specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
     reports = {name: spec.report for name, spec in specs.items() if spec.report}
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
@@ -295,22 +296,25 @@ def paper_page(
 
 
 def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:
-    """Draw one figure of the paper for each of its campaigns that has been run.
+    """Draw one figure of the paper for each of its campaigns that has been run, or once if it has none.
 
     The first drawing is named by the number, further ones also by campaign, or by their stem if it begins with an
     underscore. Raise BoresightError if none of its campaigns has been run, or a run can no longer be drawn.
     """
     runs = {name: found[name] for name in figure.campaigns if name in found}
-    if not runs:
+    if figure.campaigns and not runs:
         raise BoresightError(f"not drawn without a finished run of {' or '.join(figure.campaigns)}")
-    groups = [runs] if figure.together else [{name: run} for name, run in runs.items()]
+    groups = [{name: run} for name, run in runs.items()] if figure.campaigns and not figure.together else [runs]
     named: list[NamedFigure] = []
     for group in groups:
-        (first, run), shown = next(iter(group.items())), [run.content.run for run in group.values()]
-        for drawing in figure.draw(group if figure.together else run, *([jobs] if figure.rebuilds else [])):
-            add_provenance(drawing.figure, shown)
+        first, shown = next(iter(group), ""), [run.content.run for run in group.values()]
+        given = [] if not figure.campaigns else [group if figure.together else group[first]]
+        for drawing in figure.draw(*given, *([jobs] if figure.rebuilds else [])):
             suffix = drawing.stem if drawing.stem.startswith("_") else f"_{first}" if named else ""
-            counted = with_trial_counts(drawing, shown)
+            counted = drawing
+            if shown:
+                add_provenance(drawing.figure, shown)
+                counted = with_trial_counts(drawing, shown)
             stem, caption = f"figure_{figure.number:0>2}{suffix}", f"Figure {figure.number}. {counted.caption}"
             named.append(replace(counted, stem=stem, caption=caption))
     if not named:

@@ -94,6 +94,14 @@ def test_scores_are_those_counted_by_hand():
     assert "labels are 1.07 times as large as the 2 rims for them" in label_quality(matches)
 
 
+def test_a_label_that_is_not_wanted_makes_a_detection_right_and_has_no_recall():
+    labels, image = circles([[20, 20, 6], [60, 60, 6], [90, 20, 6]]), np.ones((100, 100), np.float32)
+    found = CraterDetections(circles([[20, 20, 6], [60, 60, 6], [20, 90, 6]]), np.array([0.9, 0.8, 0.7]))
+    matches = match_labels(found, labels, image, 4.0, np.array([True, False, True]))
+    np.testing.assert_array_equal(matches.label, [0, -2, -1])
+    assert recall_at(matches, 0.0) == (0.5, 0.8)
+
+
 def test_as_many_labels_are_found_as_an_optimal_assignment_pairs():
     """Of craters far apart the order of choice cannot matter: scipy's assignment is the reference."""
     rng = np.random.default_rng(5)

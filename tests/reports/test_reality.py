@@ -7,11 +7,13 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from stored_runs import RunBuilder, pose_error
 
-from boresight.campaign.papers.page import FinishedRun
-from boresight.campaign.papers.reality import PAPER
+from boresight.campaign.papers.page import FinishedRun, PaperFigure, drawn
+from boresight.campaign.papers.reality import PAPER, SCORES
 from boresight.campaign.store import RunFolder
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.run.data import read_run
 from boresight.reports.statistics.reality import Side, levels_of, ratio_interval, reality_rows, verdict
 from boresight.scenarios.errors import BoresightError
@@ -137,11 +139,32 @@ def test_a_run_of_before_the_renderings_is_named(both):
     manifest = json.loads((both / "manifest.json").read_text())
     (both / "manifest.json").write_text(json.dumps({**manifest, "grid": None}))
     with pytest.raises(BoresightError, match="has not both real images and renderings of their views: run it again"):
-        PAPER.table({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
+        PAPER.tables[0]({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
 
 
 def test_the_page_draws_the_runs_that_are_there(both):
-    (grid,) = PAPER.table({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
+    (grid,) = PAPER.tables[0]({"compare-navcam67p": FinishedRun(RunFolder(both), {})})
     table = pd.DataFrame(grid.rows, columns=grid.columns)
     assert table["seen"].tolist() == ["67P, 60 images"]
-    assert PAPER.table({}) == []
+    assert PAPER.tables[0]({}) == []
+
+
+def test_craters_are_those_of_the_stored_scores(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BoresightError, match="to make it: boresight craters-real"):
+        PAPER.tables[1]({})
+    SCORES.parent.mkdir(parents=True)
+    SCORES.write_text("labels,recall_10,ground\nall,0.3,moon\nisolated,0.5,moon\nall,0.4,mars\nall,0.8,rendered\n")
+    (grid,) = PAPER.tables[1]({})
+    assert grid.rows == (("moon", "0.300", "0.800", "0.375"), ("mars", "0.400", "0.800", "0.500"))
+    SCORES.write_text("labels,recall_10\nall,0.3\n")
+    with pytest.raises(BoresightError, match=r"scores\.csv: cannot be read"):
+        PAPER.tables[1]({})
+
+
+def test_a_figure_without_campaigns_needs_no_run():
+    drawing = NamedFigure("_alone", Figure(), "Drawn.", "A picture.")
+    (named,) = drawn(PaperFigure("5", (), lambda: [drawing]), {}, None)
+    assert (named.stem, named.caption) == ("figure_05_alone", "Figure 5. Drawn.")
+    with pytest.raises(BoresightError, match="not drawn without a finished run of vesta-real-slam"):
+        drawn(PaperFigure("3", ("vesta-real-slam",), lambda run: [drawing]), {}, None)
