@@ -22,9 +22,6 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import CameraSigma, Observation
 from boresight.scenarios.reading import CONTENT_FAULTS
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.body import HeightErrorSpec
-from boresight.scenarios.spec.brdf import BrdfSpec
-from boresight.scenarios.spec.distribution import Scalar
 
 PRODUCT = "covariance-tuning"
 FILE = "tuning.json"
@@ -36,20 +33,9 @@ _LARGEST_FACTOR = 1e8
 _CAP_SHARE, _WRONG_SHARE = 0.99, 0.999
 
 
-class AssumedErrors(SpecModel):
-    """What may be wrong on board, as the mission declares it; what is left out is taken as exact."""
-
-    brdf: BrdfSpec | None = Field(None, description="A reflectance that the surface may have in place of that on board")
-    facets: int | None = Field(None, ge=4, le=13_000_000, description="Facets of a rehearsed body's detail")
-    relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
-    height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
-    sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
-
-
 class TuningOptions(SpecModel):
-    """How often the base is rehearsed, and with which errors."""
+    """How often the base is rehearsed."""
 
-    errors: AssumedErrors = AssumedErrors()
     trials: int = Field(60, ge=_LEAST_SOLVED, le=100_000, description="Rehearsed images")
     bodies: int = Field(4, ge=1, le=1000, description="Draws of the shape's errors, among which images are divided")
     seed: int = Field(0, ge=0, description="Seed of the rehearsals, which share no random number with the campaign")
@@ -189,7 +175,7 @@ class TunedEstimator:
     """Another estimator with the covariance that its errors in rehearsals have.
 
     Before the first image, the base is tried on simulated ones: the body is the shape on board with the errors that
-    the mission declares (``tuning.errors``), seen as the scenario says. One factor divides the information that the
+    the mission declares (``onboard.declared``), seen as the scenario says. One factor divides the information that the
     base states, so that its NEES over these trials is that of a true covariance, where a few wrong answers count as
     little as answers at the 99 % ellipsoid. The calibration's part (``onboard.camera_sigma``) is added afterwards. The
     pose is that of the base.

@@ -23,7 +23,7 @@ def onboard_spec(spec: ScenarioSpec) -> ScenarioSpec:
         "brdf": onboard.brdf or spec.brdf,
         "camera": _believed_camera(spec.camera, onboard),
         "pose_error": spec.believed_pose_error,
-        "onboard": OnboardSpec(),
+        "onboard": OnboardSpec(declared=onboard.declared),
     }
     return spec.model_copy(update=changes)
 

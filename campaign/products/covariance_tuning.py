@@ -21,7 +21,6 @@ from boresight.estimators.registry import estimator_class
 from boresight.estimators.tuned import PRODUCT as TUNING
 from boresight.estimators.tuned import (
     VERSION,
-    AssumedErrors,
     CovarianceTuning,
     Rehearsals,
     Rehearsed,
@@ -32,8 +31,8 @@ from boresight.renderers.detector import Detector
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import MachineError
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.spec.body import DetailSpec, FurtherHeightErrorSpec, RedrawnSpec
-from boresight.scenarios.spec.scenario import OnboardSpec
+from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.scenario import DeclaredSpec, OnboardSpec, ScenarioSpec
 
 _SEED = 0x7265_6865
 """Added to the seed of rehearsals, so that they do not show the views of a campaign with the same seed."""
@@ -43,7 +42,7 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
     if scenario.spec.viewpoint is None:
         raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
-    _check_errors(options.errors, scenario.spec.body.detail)
+    _check_declared(scenario.spec)
     # The data bases of the base are made once, before workers ask for them.
     with tempfile.TemporaryDirectory() as place:
         _method(scenario, options, Path(place), jobs, variant)
@@ -56,13 +55,18 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": solved_of, "wrong": tuning.wrong}
 
 
-def _check_errors(errors: AssumedErrors, detail: DetailSpec | None) -> None:
+def _declared(spec: ScenarioSpec) -> DeclaredSpec:
+    return spec.onboard.declared or DeclaredSpec()
+
+
+def _check_declared(spec: ScenarioSpec) -> None:
     """Refuse declared errors that the shape on board cannot have."""
+    errors, detail = _declared(spec), spec.body.detail
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
-        raise NoProductError("tuning.errors: the shape on board has no detail: leave facets and relief_below_m out")
+        raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
     if detail is not None and errors.relief_below_m is None and (errors.facets or 0) > detail.facets:
         raise NoProductError(
-            f"tuning.errors.facets: {errors.facets} are more than the {detail.facets} on board, and what they add is"
+            f"onboard.declared.facets: {errors.facets} are more than the {detail.facets} on board, and what they add is"
             " not known there: give relief_below_m too"
         )
 
@@ -109,7 +113,7 @@ def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
 
 def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
     """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors."""
-    errors, spec, seed = options.errors, scenario.spec, _SEED + options.seed + number
+    errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
     body, detail = spec.body, spec.body.detail
     if detail is not None:
         facets = {} if errors.facets is None else {"facets": errors.facets}

@@ -154,6 +154,16 @@ class CameraSigmaSpec(SpecModel):
     principal_point_px: float = deviation(0.0, "each coordinate of the principal point", ge=0, le=1000)
 
 
+class DeclaredSpec(SpecModel):
+    """Errors that a mission declares its onboard model to have; what is left out is taken as exact."""
+
+    brdf: BrdfSpec | None = Field(None, description="A reflectance that the surface may have in place of that on board")
+    facets: int | None = Field(None, ge=4, le=13_000_000, description="Facets of a rehearsed body's detail")
+    relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
+    height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
+    sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
+
+
 class OnboardSpec(SpecModel):
     """Onboard model; parts that are left out are identical with the truth.
 
@@ -180,6 +190,9 @@ class OnboardSpec(SpecModel):
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
     pole_error_deg: Scalar | None = Field(None, description="Tilt of the spin axis, about a random equatorial axis")
     rotation_error_deg: Scalar | None = Field(None, description="Error of the rotation phase about the spin axis")
+    declared: DeclaredSpec | None = optional(
+        "Errors of all this that the mission declares; ``tuned`` rehearses them, whatever the true ones are"
+    )
     pose_error: PoseErrorSpec | None = optional(
         "Distribution of the prior's error that the spacecraft believes in: its covariance is given to"
         " estimators, while errors are drawn from the scenario's pose_error; its attitude, if left out, is that one's"

@@ -14,17 +14,18 @@ from boresight.campaign.products import product_key
 from boresight.campaign.products.covariance_tuning import build, rehearsed_scenario
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.contract import NoProductError
-from boresight.estimators.tuned import PRODUCT, AssumedErrors, Rehearsals
+from boresight.estimators.tuned import PRODUCT, Rehearsals
 from boresight.reports.run.data import read_run
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.scenario import DeclaredSpec
 
 CAMPAIGN = """\
 title: A tiny campaign
 scenarios: [scene]
 estimators:
   - photometric
-  - tuned: {base: photometric, tuning: {trials: 20, bodies: 2, errors: {relief_below_m: 40}}}
+  - tuned: {base: photometric, tuning: {trials: 20, bodies: 2}}
 trials: 6
 seed: 5
 """
@@ -46,6 +47,7 @@ def key(folder, *overrides: str) -> str:
     [
         "viewpoint.off_pointing_deg=1", "lighting.phase_deg={uniform: [0, 40]}", "detector.psf_sigma_px=1",
         "pose_error={position_cam_m: {normal: [1, 2, 3]}}", "body.detail.seed=4",
+        "onboard.declared={sun_error_deg: {normal: 1}}",
     ],
 )  # fmt: skip
 def test_what_would_change_the_rehearsals_changes_the_key(tmp_path, change):
@@ -53,18 +55,17 @@ def test_what_would_change_the_rehearsals_changes_the_key(tmp_path, change):
 
 
 @pytest.mark.parametrize(
-    ("onboard", "errors"),
+    ("onboard", "declared"),
     [
         ({"facets": 5000}, {"facets": 20000, "relief_below_m": 30}),
         ({"relief": {"below_m": 60, "seed": 3}}, {"relief_below_m": 5}),
         ({"height_error": {"rms_m": 4}}, {"height_error": {"rms_m": 4}}),
     ],
 )
-def test_the_rehearsed_body_is_neither_the_true_one_nor_the_believed(tmp_path, onboard, errors):
+def test_the_rehearsed_body_is_neither_the_true_one_nor_the_believed(tmp_path, onboard, declared):
     write_campaign(tmp_path)
-    true = load_scenario(str(tmp_path / "scene.yaml"), [f"onboard={json.dumps(onboard)}"])
-    asked = OPTIONS.model_copy(update={"errors": AssumedErrors.model_validate(errors)})
-    played = rehearsed_scenario(believed(true), asked, 0)
+    true = load_scenario(str(tmp_path / "scene.yaml"), [f"onboard={json.dumps({**onboard, 'declared': declared})}"])
+    played = rehearsed_scenario(believed(true), OPTIONS, 0)
     bodies = [load_body(one.spec.body, one.search_dirs).mesh for one in (true, believed(true), played)]
     for other in bodies[:2]:
         if len(other.vertices_m) == len(bodies[2].vertices_m):
@@ -73,19 +74,35 @@ def test_the_rehearsed_body_is_neither_the_true_one_nor_the_believed(tmp_path, o
     assert sum(len(other.vertices_m) == len(bodies[2].vertices_m) for other in bodies[:2])
 
 
+DECLARED = {
+    "brdf": {"kind": "oren-nayar"}, "facets": 5000, "relief_below_m": 30.0, "height_error": {"rms_m": 4.0},
+    "sun_error_deg": {"normal": 1.0},
+}  # fmt: skip
+
+
+def test_every_declared_error_changes_the_rehearsals(tmp_path):
+    assert DECLARED.keys() == DeclaredSpec.model_fields.keys()
+    write_campaign(tmp_path)
+    name = str(tmp_path / "scene.yaml")
+    played = [
+        rehearsed_scenario(believed(load_scenario(name, overrides)), OPTIONS, 0).spec.model_dump_json()
+        for overrides in [[], *([f"onboard.declared={json.dumps({key: value})}"] for key, value in DECLARED.items())]
+    ]
+    assert len(set(played)) == 1 + len(DECLARED)
+
+
 @pytest.mark.parametrize(
-    ("overrides", "errors", "refused"),
+    ("overrides", "declared", "refused"),
     [
         (["body.detail=null"], {"relief_below_m": 5}, "has no detail: leave facets and relief_below_m out"),
         ([], {"facets": 90000}, "are more than the 20000 on board"),
     ],
 )
-def test_errors_that_the_shape_on_board_cannot_have_are_refused(tmp_path, overrides, errors, refused):
+def test_errors_that_the_shape_on_board_cannot_have_are_refused(tmp_path, overrides, declared, refused):
     write_campaign(tmp_path)
-    scenario = load_scenario(str(tmp_path / "scene.yaml"), overrides)
-    asked = OPTIONS.model_copy(update={"errors": AssumedErrors.model_validate(errors)})
+    scenario = load_scenario(str(tmp_path / "scene.yaml"), [*overrides, f"onboard.declared={json.dumps(declared)}"])
     with pytest.raises(NoProductError, match=refused):
-        build(scenario, asked, tmp_path, 1, "llvm_ad_mono")
+        build(scenario, OPTIONS, tmp_path, 1, "llvm_ad_mono")
 
 
 def test_a_base_that_builds_on_another_is_refused_and_one_without_its_sensor(tmp_path, capsys):
@@ -108,7 +125,8 @@ def test_the_file_of_a_base_decides_about_the_run(tmp_path):
 
 
 def test_the_pose_stays_and_the_covariance_is_scaled_whatever_the_number_of_jobs(tmp_path, monkeypatch):
-    file = write_campaign(tmp_path, CAMPAIGN, SCENE + "pose_error: {position_cam_m: {normal: [20, 20, 5]}}\n")
+    scene = SCENE + "pose_error: {position_cam_m: {normal: [20, 20, 5]}}\nonboard: {declared: {relief_below_m: 40}}\n"
+    file = write_campaign(tmp_path, CAMPAIGN, scene)
     alone, both = (tmp_path / f"run-{jobs}" for jobs in (1, 2))
     for jobs, folder in ((1, alone), (2, both)):
         monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / f"cache-{jobs}"))  # each makes its own product

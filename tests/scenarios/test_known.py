@@ -65,7 +65,8 @@ CASES = [(name, key) for name in scenario_names() for key in sorted(heard(load_s
 
 
 def test_every_key_of_onboard_is_here():
-    assert WRONG.keys() == OnboardSpec.model_fields.keys()
+    # What is declared makes nothing wrong.
+    assert WRONG.keys() | {"declared"} == OnboardSpec.model_fields.keys()
 
 
 @pytest.mark.parametrize(("name", "key"), CASES)
