@@ -215,6 +215,9 @@ class SpiceImageSet:
         geometry = self.frames[index].geometry
         return View(self.camera, geometry.T_cam_body, geometry.sun_dir_body)
 
+    def covariance(self, index: int) -> None:
+        """Covariance of the reference pose: kernels have none."""
+
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.
 

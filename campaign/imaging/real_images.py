@@ -55,7 +55,10 @@ def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
     kernels = () if spec.spice is None else spec.spice.kernels
     yield from zip(kernels, files, strict=False)
     for path in files[len(kernels) :]:
-        yield f"{spec.folder}/{path.name}", path
+        if spec.adjusted is None or path.name != Path(spec.adjusted.table).name:
+            yield f"{spec.folder}/{path.name}", path
+        else:
+            yield spec.adjusted.table, path
 
 
 def left_out_notes(scenario: LoadedScenario) -> list[str]:

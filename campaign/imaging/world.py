@@ -37,7 +37,8 @@ class TrialImage:
     """Image (H, W) of one trial with its true view. Only experiments may use it, never an estimator.
 
     The view of a real image is that of the reference pose; ``further`` has those of other poses to score against, by
-    name, and ``image_name`` is its file, else ''. ``time_s`` is the epoch of a real image or of a state of a
+    name, ``covariance`` (6, 6) is that of the reference pose, [rotation_rad, translation_m] in camera axes, if it is
+    known, and ``image_name`` is its file, else ''. ``time_s`` is the epoch of a real image or of a state of a
     trajectory, else 0, and ``velocity_m_s`` (3,) the velocity of the camera about the body, body axes, of a trajectory
     that has it. ``from_store`` says whether the image was rendered in an earlier run.
     """
@@ -49,6 +50,7 @@ class TrialImage:
     time_s: float = 0.0
     from_store: bool = False
     velocity_m_s: FloatArray | None = None
+    covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +120,10 @@ class ImageSetSource:
             noise = generator(seed, Stream.DETECTOR, trial)
             image, from_store = self.imager.image(view, seed, index, noise)
         further = {name: self.images.view(index, name) for name in self.poses}
-        return TrialImage(image, view, further, self.images.names[index], self.images.time_s(index), from_store)
+        # The pose of a rendered view is exact.
+        covariance = self.images.covariance(index) if self.imager is None else None
+        name, time_s = self.images.names[index], self.images.time_s(index)
+        return TrialImage(image, view, further, name, time_s, from_store, covariance=covariance)
 
     def view(self, seed: int, trial: int) -> View:
         """Return the view of the trial's image, with the reference pose."""

@@ -106,20 +106,26 @@ def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:
 
 
 def consistency(
-    estimated: Pose, true: Pose, covariance: FloatArray | None, bound: FloatArray | None
+    estimated: Pose,
+    true: Pose,
+    covariance: FloatArray | None,
+    bound: FloatArray | None,
+    true_covariance: FloatArray | None = None,
 ) -> dict[str, float | None]:
     """Compare an estimate's covariance with its error, of poses T_cam_body.
 
     ``covariance`` and ``bound`` are (6, 6) [rotation_rad, translation_m] in camera axes: the estimator's covariance and
-    the Cramer-Rao bound of its observations; None where it gives none. Of the result, ``nees`` is e^T P^-1 e with 6
-    degrees of freedom, for e in est = true.perturbed(e); ``position_sigma_m`` and ``attitude_sigma_deg`` are the RMS
-    errors of the camera in the body and of the attitude that the covariance foretells, and ``position_bound_m`` and
-    ``attitude_bound_deg`` those of the bound.
+    the Cramer-Rao bound of its observations; None where it gives none. ``true_covariance`` (6, 6) is that of ``true``,
+    if that is a reference that errs itself. Of the result, ``nees`` is e^T P^-1 e with 6 degrees of freedom, for e in
+    est = true.perturbed(e) and P the sum of the covariances of both; ``position_sigma_m`` and ``attitude_sigma_deg``
+    are the RMS errors of the camera in the body and of the attitude that the estimator's covariance foretells, and
+    ``position_bound_m`` and ``attitude_bound_deg`` those of the bound.
     """
     position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
     position_bound_m, attitude_bound_deg = _foretold(bound, estimated)
+    total = covariance if covariance is None or true_covariance is None else covariance + true_covariance
     return {
-        "nees": nees(pose_offset(true, estimated), covariance),
+        "nees": nees(pose_offset(true, estimated), total),
         "position_sigma_m": position_sigma_m,
         "attitude_sigma_deg": attitude_sigma_deg,
         "position_bound_m": position_bound_m,

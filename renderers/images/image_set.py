@@ -51,6 +51,10 @@ class ImageSet(Protocol):
         """View of an image with the pose named ``prefix``, by default the reference pose for scoring."""
         ...
 
+    def covariance(self, index: int) -> FloatArray | None:
+        """Covariance (6, 6) of the reference pose, [rotation_rad, translation_m], camera axes; None if unknown."""
+        ...
+
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W), the top row first."""
         ...
@@ -148,6 +152,10 @@ class Selection:
     def view(self, index: int, prefix: str | None = None) -> View:
         """View of an image."""
         return self.images.view(self.kept[index], prefix)
+
+    def covariance(self, index: int) -> FloatArray | None:
+        """Covariance of the reference pose."""
+        return self.images.covariance(self.kept[index])
 
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image."""

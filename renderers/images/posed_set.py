@@ -8,6 +8,8 @@ time_s                             epoch of the exposure, s
 PREFIX_qw, _qx, _qy, _qz           quaternion (w, x, y, z) from body to camera axes
 PREFIX_tx_m, _ty_m, _tz_m          origin of the body in camera axes, m: x_cam = R(q) x_body + t
 sun_body_x, _y, _z                 direction to the Sun in the body frame, normalised here
+PREFIX_cov_00, _01, ... _55        of adjusted poses: upper triangle of the covariance of [rotation_rad, translation_m]
+                                   in camera axes, as of ``Pose.perturbed``
 ================================== ==================================================================
 
 A table may contain poses under several prefixes (``ref``, ``label``). Camera axes: x right, y down, z forward.
@@ -37,6 +39,7 @@ from boresight.scenarios.spec.scenario import ImageSetSpec
 QUATERNION_TOLERANCE = 1e-3
 _EXCESS = "\n"  # key of surplus cells: no column can be called so
 _SUN = ("sun_body_x", "sun_body_y", "sun_body_z")
+_UPPER = [(i, j) for i in range(6) for j in range(i, 6)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,13 +47,14 @@ class PoseTable:
     """Content of a checked table of N images.
 
     ``times_s`` (N,) are epochs, ``sun_dirs_body`` (N, 3) unit vectors towards the Sun, ``poses`` N poses T_cam_body for
-    each prefix.
+    each prefix, ``covariances`` (N, 6, 6) those of adjusted poses, [rotation_rad, translation_m], camera axes.
     """
 
     files: tuple[str, ...]
     times_s: FloatArray
     sun_dirs_body: FloatArray
     poses: Mapping[str, tuple[Pose, ...]]
+    covariances: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,18 +82,20 @@ class _Row:
         return np.array([self.number(column) for column in columns])
 
 
-def read_table(path: Path, prefixes: Sequence[str]) -> PoseTable:
-    """Read and check a table of poses.
+def read_table(path: Path, prefixes: Sequence[str], *, adjusted: bool = False) -> PoseTable:
+    """Read and check a table of poses, of ``adjusted`` ones of one prefix with their covariances.
 
     Raise `BoresightError` with file, line and column if the table is missing or no CSV, has no rows, lacks a column or
     contains a wrong value.
     """
-    rows = _read_rows(path, prefixes)
+    covariances = [f"{prefixes[0]}_cov_{i}{j}" for i, j in _UPPER] if adjusted else []
+    rows = _read_rows(path, prefixes, covariances)
     return PoseTable(
         tuple(_files(rows)),
         np.array([row.number("time_s") for row in rows]),
         np.array([_sun(row) for row in rows]),
         {prefix: tuple(_pose(row, prefix) for row in rows) for prefix in prefixes},
+        np.stack([_covariance(row, covariances) for row in rows]) if adjusted else None,
     )
 
 
@@ -98,12 +104,12 @@ def _pose_columns(prefix: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return quaternion, tuple(f"{prefix}_t{axis}_m" for axis in "xyz")
 
 
-def _read_rows(path: Path, prefixes: Sequence[str]) -> list[_Row]:
+def _read_rows(path: Path, prefixes: Sequence[str], further: Sequence[str]) -> list[_Row]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
             columns = [name.strip() for name in reader.fieldnames or ()]
-            _check_columns(path, columns, prefixes)
+            _check_columns(path, columns, prefixes, further)
             reader.fieldnames = columns
             reader.restkey = _EXCESS
             rows = [_Row(f"{path}:{reader.line_num}", cells) for cells in reader]
@@ -119,8 +125,8 @@ def _read_rows(path: Path, prefixes: Sequence[str]) -> list[_Row]:
     return rows
 
 
-def _check_columns(path: Path, columns: Sequence[str], prefixes: Sequence[str]) -> None:
-    needed = ["file", "time_s", *_SUN]
+def _check_columns(path: Path, columns: Sequence[str], prefixes: Sequence[str], further: Sequence[str]) -> None:
+    needed = ["file", "time_s", *_SUN, *further]
     for prefix in prefixes:
         needed += [column for group in _pose_columns(prefix) for column in group]
     missing = [column for column in needed if column not in columns]
@@ -174,6 +180,17 @@ def _pose(row: _Row, prefix: str) -> Pose:
     return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
+def _covariance(row: _Row, columns: Sequence[str]) -> FloatArray:
+    covariance = np.zeros((6, 6))
+    covariance[tuple(np.transpose(_UPPER))] = row.numbers(columns)
+    covariance += np.triu(covariance, 1).T
+    # Scaled first: square radians and square metres are ten orders of magnitude apart.
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    if not np.linalg.eigvalsh(covariance / np.outer(sigma, sigma))[0] > 0.0:
+        raise BoresightError(f"{row.place}: {columns[0]} to {columns[-1]}: the covariance is not positive definite")
+    return covariance
+
+
 def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera) -> PoseTable:
     read = [read_sumfile(path) for path in paths]
     for path, one in zip(paths, read, strict=True):
@@ -190,6 +207,7 @@ def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera
 class PosedImageSet:
     """Image set whose epochs, directions to the Sun and poses come from a table or from SUM files, ``sources``.
 
+    ``adjusted`` is the table of ``images.adjusted``, with its own directions to the Sun.
     ``version`` enters the digest of every run: raise it when pixels or views change.
     """
 
@@ -202,6 +220,7 @@ class PosedImageSet:
     spec: ImageSetSpec
     table: PoseTable
     sources: tuple[Path, ...]
+    adjusted: PoseTable | None = None
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
@@ -216,15 +235,22 @@ class PosedImageSet:
         folder = path.parent
         if spec.sumfiles is None:
             sources: tuple[Path, ...] = (path,)
+            own = None if spec.adjusted is None else spec.adjusted.name
             named, moved = (spec.truth, *spec.also_score), {one.name: one.of for one in spec.moved}
-            table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named)))
+            table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named if name != own)))
         else:
             sources = tuple(folder / one.sumfile for one in spec.sumfiles)
             table = _table_of_sumfiles(sources, spec, camera)
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:
             raise BoresightError(f"{path}: file: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
-        images = cls(folder, camera, spec, table, sources)
+        adjusted = None
+        if spec.adjusted is not None:
+            further = find_data_file(spec.adjusted.table, search_dirs, "images", "images.adjusted.table")
+            adjusted, sources = read_table(further, (spec.adjusted.name,), adjusted=True), (*sources, further)
+            if adjusted.files != table.files:
+                raise BoresightError(f"{further}: file: the images are not those of {path}, in the same order")
+        images = cls(folder, camera, spec, table, sources, adjusted)
         for one in spec.moved:
             depths_m = [images.view(i, one.name).T_cam_body.translation_m[2] for i in range(len(images))]
             if min(depths_m) <= 0.0:
@@ -255,6 +281,8 @@ class PosedImageSet:
         Raise `BoresightError` if the scenario does not name the prefix in ``truth`` or ``also_score``.
         """
         prefix = self.spec.truth if prefix is None else prefix
+        if self.adjusted is not None and prefix in self.adjusted.poses:
+            return View(self.camera, self.adjusted.poses[prefix][index], self.adjusted.sun_dirs_body[index])
         moved, sun_dir = self.spec.place_of(prefix), self.table.sun_dirs_body[index]
         of = prefix if moved is None else moved.of
         if of not in self.table.poses:
@@ -265,6 +293,12 @@ class PosedImageSet:
         turn, origin_m = np.radians(moved.rotation_vector_deg), np.array(moved.origin_m)
         shape = Pose(np.eye(3), np.zeros(3), "body", "body").perturbed(turn, origin_m)
         return View(self.camera, pose @ shape, shape.inverse().rotate(sun_dir))
+
+    def covariance(self, index: int) -> FloatArray | None:
+        """Covariance (6, 6) of the reference pose, as of `PoseTable`; None if it has none."""
+        if self.adjusted is None or self.adjusted.covariances is None or self.spec.truth not in self.adjusted.poses:
+            return None
+        return np.asarray(self.adjusted.covariances[index])
 
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.

@@ -47,6 +47,13 @@ class MovedPosesSpec(SpecModel):
     origin_m: Row3 = Field((0.0, 0.0, 0.0), description="Origin of the shape in the table's body axes")
 
 
+class AdjustedPosesSpec(SpecModel):
+    """Further poses of the same images, with covariances, from a table of their own."""
+
+    name: str = Field(min_length=1, description="Prefix of the columns; a name for truth and also_score")
+    table: str = Field(description="Table of the poses (beside the scenario file, or under BORESIGHT_DATA)")
+
+
 class SumfileSpec(SpecModel):
     """An image and its SUM file of stereophotoclinometry, with its pose, Sun and epoch."""
 
@@ -82,6 +89,9 @@ class ImageSetSpec(SpecModel):
     moved: tuple[MovedPosesSpec, ...] = Field(
         (), exclude_if=lambda value: not value, description="Further poses, with the shape in another place"
     )
+    adjusted: AdjustedPosesSpec | None = Field(
+        None, exclude_if=lambda value: value is None, description="Further poses, with covariances that enter NEES"
+    )
     rendered: bool = Field(
         False,
         exclude_if=lambda value: not value,
@@ -104,6 +114,8 @@ class ImageSetSpec(SpecModel):
         if unknown:
             raise ValueError(f"aligned names {unknown[0]}, which is neither truth nor in also_score")
         names = [one.name for one in self.moved]
+        if self.adjusted is not None and (self.adjusted.name not in prefixes or self.adjusted.name in names):
+            raise ValueError(f"adjusted: name {self.adjusted.name} in truth or also_score, and in no other place")
         if idle := [name for name in names if name not in prefixes]:
             raise ValueError(f"moved: {idle[0]} is neither truth nor in also_score: name it there, or leave it out")
         if len(set(names)) < len(names):
@@ -122,13 +134,13 @@ class ImageSetSpec(SpecModel):
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        senseless = self.stated("table", "first_row", "sumfiles", "also_score", "moved")
+        senseless = self.stated("table", "first_row", "sumfiles", "also_score", "moved", "adjusted")
         if self.spice is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
 
     @rule
     def _sumfiles_have_one_pose_of_each_image(self) -> None:
-        senseless = self.stated("table", "also_score", "moved")
+        senseless = self.stated("table", "also_score", "moved", "adjusted")
         if self.sumfiles is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside sumfiles; leave it out")
         names = [one.image for one in self.sumfiles or ()]

@@ -87,6 +87,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "images.noise_realisations": ("real", "1"),
     "images.rendered": ("spice", "true"),
     "images.moved": ("moved", "[{name: placed, of: label, origin_m: [3, 0, 0]}]"),
+    "images.adjusted.name": (None, "label"),
+    "images.adjusted.table": (None, "set/poses.csv"),
     "crater_pairs.images.most_detections": (None, "1"),
     "sequence.vision.min_connection": ("sequence", "28"),
     "sequence.images.features": (None, "15"),

@@ -49,3 +49,15 @@ def test_a_pose_that_turns_about_the_camera_leaves_its_position_where_it_is():
 def test_a_covariance_that_is_none_or_singular_has_no_nees():
     assert consistency(TRUE, TRUE, None, None)["nees"] is None
     assert consistency(TRUE, TRUE, np.diag([0.0, 1, 1, 1, 1, 1]), None)["nees"] is None
+
+
+def test_nees_of_a_reference_that_errs_takes_both_covariances():
+    """Errors of both are drawn; the estimator's covariance alone would give 6 times 1 + 9."""
+    P = covariance()
+    ours, theirs = (multivariate_normal(np.zeros(6), k * P).rvs(2000, random_state=k) for k in (1, 9))
+    pairs = [(TRUE.perturbed(e[:3], e[3:]), TRUE.perturbed(r[:3], r[3:])) for e, r in zip(ours, theirs, strict=True)]
+    low, high = chi2.ppf([0.001, 0.999], 6 * 2000) / 2000
+    assert low < np.mean([consistency(*pair, P, None, 9 * P)["nees"] for pair in pairs]) < high
+    assert consistency(*pairs[0], P, None, 9 * P)["position_sigma_m"] == pytest.approx(
+        consistency(*pairs[0], P, None)["position_sigma_m"]
+    )

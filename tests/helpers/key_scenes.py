@@ -112,6 +112,11 @@ images:
   truth: placed
   moved: [{name: placed, of: label, rotation_vector_deg: [0, 1, 0], origin_m: [4, 0, 0]}]
 """,
+    "adjusted": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+images: {folder: set, truth: third, also_score: [label], adjusted: {name: third, table: set/more.csv}}
+""",
     "sumfiles": """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, focal_px: [150, 150], principal_point_px: [24, 20]}
@@ -245,7 +250,10 @@ def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
             writer = csv.writer(stream)
             parts = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
             poses = [f"{prefix}_{part}" for prefix in ("ref", "label", "third") for part in parts]
+            upper = [(i, j) for i in range(6) for j in range(i, 6)]
+            poses += [f"{prefix}_cov_{i}{j}" for prefix in ("label", "third") for i, j in upper]
             writer.writerow(["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z", *poses])
             for time_s, name in enumerate(("a.png", "b.png")):
                 numbers = [x for k in range(3) for x in (1, 0, 0, 0, k + shift, 80 * time_s, 2000)]
+                numbers += 2 * [int(i == j) for i, j in upper]
                 writer.writerow([name, time_s, 0, 0, -1, *numbers])

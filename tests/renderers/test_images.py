@@ -21,6 +21,7 @@ from boresight.renderers.images.pixels import read_image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.load.files import CATALOG
 from boresight.scenarios.spec.scenario import ImageSetSpec
 
 CAMERA = Camera.from_fov(24, 16, 0.1)
@@ -129,6 +130,49 @@ def test_a_moved_shape_is_named_and_complete(tmp_path, keys, message):
     folder = write_set(tmp_path / "set", [row("a.png")])
     with pytest.raises((BoresightError, ValueError), match=message):
         open_set(folder, **keys)
+
+
+def adjusted_row(name, factor, **changes):
+    """A row of adjusted poses, with the covariance ``factor factor^T``."""
+    covariance = factor @ factor.T
+    cells = {key.replace("ref_", "joint_"): value for key, value in row(name).items() if "label" not in key}
+    cells |= {f"joint_cov_{i}{j}": repr(float(covariance[i, j])) for i in range(6) for j in range(i, 6)}
+    return cells | {"joint_tx_m": 77, "sun_body_y": -3} | changes
+
+
+def test_adjusted_poses_have_their_own_sun_and_a_covariance(tmp_path):
+    names = ["b.png", "a.png"]
+    factors = np.random.default_rng(2).normal(size=(2, 6, 6)) * np.repeat([1e-3, 30.0], 3)[:, None]
+    folder = write_set(tmp_path / "set", [row(name) for name in names], names)
+    table = write_set(tmp_path / "adjusted", [adjusted_row(*pair) for pair in zip(names, factors, strict=True)])
+    adjusted = {"name": "joint", "table": str(table / "poses.csv")}
+    images = open_set(folder, truth="joint", also_score=("ref",), adjusted=adjusted)
+    assert images.view(1).T_cam_body.translation_m.tolist() == [77, -20, 5000]
+    assert images.view(1).sun_dir_body.tolist() == [0, -0.6, 0.8]
+    assert images.view(1, "ref").T_cam_body.translation_m.tolist() == [10, -20, 5000]
+    for index, factor in enumerate(factors):
+        np.testing.assert_allclose(images.covariance(index), factor @ factor.T, rtol=1e-12)
+    assert table / "poses.csv" in images.files
+    # Only the pose that is scored against has a covariance here.
+    other = open_set(folder, truth="ref", also_score=("joint",), adjusted=adjusted)
+    assert other.covariance(0) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "keys", "message"),
+    [
+        ({"joint_cov_33": -1.0}, {}, r"poses.csv:2: joint_cov_00 to joint_cov_55: .* not positive definite"),
+        ({"file": "c.png"}, {}, "the images are not those of .* in the same order"),
+        ({}, {"also_score": ()}, "adjusted: name joint in truth or also_score"),
+    ],
+)
+def test_adjusted_poses_are_of_the_same_images_and_complete(tmp_path, changes, keys, message):
+    folder = write_set(tmp_path / "set", [row("a.png")])
+    table = write_set(tmp_path / "adjusted", [adjusted_row("a.png", np.eye(6), **changes)])
+    with pytest.raises((BoresightError, ValueError), match=message):
+        open_set(
+            folder, **{"also_score": ("joint",), "adjusted": {"name": "joint", "table": f"{table}/poses.csv"}, **keys}
+        )
 
 
 @pytest.mark.parametrize(("name", "dtype"), [("a.png", "u1"), ("a.png", "u2"), ("a.tif", "u1"), ("a.tiff", "u2")])
@@ -324,7 +368,7 @@ def test_the_conventions_hold_on_real_images():
     reference poses are good to about a pixel each; a wrong half pixel would move the median of all.
     """
     spec = load_scenario("navcam67p-real").spec
-    images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), (CATALOG,))
     shape = trimesh.load(data_path(SHAPE), process=False)
     rendered = {"right": [], "mirrored": [], "upside down": []}
     shifts = []
@@ -366,15 +410,17 @@ def test_the_navcam_set_is_what_its_notes_say():
 @needs_data(NAVCAM, SHAPE)
 def test_one_place_of_the_shape_brings_the_poses_of_the_mission_onto_all_images():
     spec = load_scenario("navcam67p-views").spec
-    images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), (CATALOG,))
     shape = trimesh.load(data_path(SHAPE), process=False)
-    found = {"label": [], "moved": []}
+    found = {"label": [], "moved": [], "joint": []}
     for index in range(5, len(images), 11):
         for name in found:
             lambert = painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), images.view(index, name))
             found[name].append(correlation(images.image(index), lambert))
     assert all(np.array(found["moved"]) > np.array(found["label"]))
+    assert all(np.array(found["joint"]) > np.array(found["label"]))
     assert np.median(found["moved"]) > 0.9
+    assert np.median(found["joint"]) > np.median(found["moved"])
 
 
 @needs_data(MSI)

@@ -238,7 +238,7 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         references: list[Record] = []
         if final is not None:
             row |= {**pose_error(final, true), **pose_columns(final)}
-            row |= consistency(final, true, answer.covariance, answer.bound)
+            row |= consistency(final, true, answer.covariance, answer.bound, drawn.trial_image.covariance)
             views = drawn.trial_image.further
             references = [{"reference": name, **pose_error(final, one.T_cam_body)} for name, one in views.items()]
         row |= {
