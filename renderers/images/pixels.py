@@ -136,7 +136,8 @@ def _tiff_size(content: bytes, order: str) -> tuple[int, int, int]:
 def read_image(path: Path) -> NDArray[np.float32]:
     """Read a grey PNG, TIFF (8 or 16 bit) or FITS image, (H, W), in the units and with the order of rows of the file.
 
-    Raise `BoresightError` if the file is missing, damaged, of another format or in colour, or a value is not finite.
+    The colours of a bitmap must be equal, and a fourth channel constant. Raise `BoresightError` if the file is missing,
+    damaged, of another format or in colour, or a value is not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
@@ -184,6 +185,9 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
         raise BoresightError(f"{path}: cannot be read: {one_line(error)}") from error
     if image is None:
         raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image")
+    # Grey images are also stored in colour, with three equal channels, and a fourth that is opaque everywhere.
+    if image.ndim == 3 and not np.ptp(image[..., :3], axis=2).any() and not np.ptp(image[..., 3:], axis=(0, 1)).any():
+        return np.asarray(image[..., 0])
     return np.asarray(image)
 
 

@@ -302,8 +302,19 @@ def test_an_image_of_another_size_is_refused(tmp_path):
         images.check_images()
 
 
+def test_grey_images_are_read_that_are_stored_in_colour(tmp_path):
+    grey = np.arange(16, dtype=np.uint8).reshape(4, 4)
+    opaque = np.full_like(grey, 255)
+    for name, channels in {"rgb": (grey, grey, grey), "rgba": (grey, grey, grey, opaque)}.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.dstack(channels))
+        np.testing.assert_array_equal(read_image(tmp_path / f"{name}.png"), grey)
+    cv2.imwrite(str(tmp_path / "clear.png"), np.dstack([grey, grey, grey, grey]))
+    with pytest.raises(BoresightError, match="a grey image has rows and columns alone"):
+        read_image(tmp_path / "clear.png")
+
+
 def test_unreadable_images_are_named(tmp_path):
-    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((4, 4, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.png"), np.eye(4, dtype=np.uint8)[..., None] * np.uint8([1, 2, 1]))
     fits.PrimaryHDU(np.full((2, 3), np.nan)).writeto(tmp_path / "nan.fits")
     large = np.zeros((2, 3))
     large[1, 2] = 1e300
