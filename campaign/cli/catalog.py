@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
-    ("missions", ("osiris-rex-*", "dawn-*")),
     ("real data", ("*-real", "*-navcam67p")),
+    ("missions", ("osiris-rex-*", "dawn-*")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
     ("compare", ("trade-*", "compare-*", "partial-*")),

@@ -51,14 +51,15 @@ def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
         yield from track_files(sequence.tracks, scenario.search_dirs)
     if spec is None:
         return
-    files = _all_images(scenario).files
+    images = _all_images(scenario)
     kernels = () if spec.spice is None else spec.spice.kernels
-    yield from zip(kernels, files, strict=False)
-    for path in files[len(kernels) :]:
-        if spec.adjusted is None or path.name != Path(spec.adjusted.table).name:
-            yield f"{spec.folder}/{path.name}", path
-        else:
+    yield from zip(kernels, images.files, strict=False)
+    for path in images.files[len(kernels) :]:
+        if spec.adjusted is not None and path.name == Path(spec.adjusted.table).name:
             yield spec.adjusted.table, path
+            continue
+        name = path.relative_to(images.folder).as_posix() if isinstance(images, PosedImageSet) else path.name
+        yield f"{spec.folder}/{name}", path
 
 
 def left_out_notes(scenario: LoadedScenario) -> list[str]:

@@ -1,4 +1,4 @@
-"""Image set from a folder of images and a CSV table of their poses, or their SUM files.
+"""Image set from a folder of images and a CSV table of their poses, their SUM files, or a model of COLMAP.
 
 Columns of the table, in any order; others are not read:
 
@@ -26,6 +26,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.renderers.images import colmap
 from boresight.renderers.images.image_set import check_camera, check_size, files_digest
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.sumfile import read_sumfile
@@ -34,7 +35,7 @@ from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.reading import LARGEST_NUMBER
-from boresight.scenarios.spec.scenario import ImageSetSpec
+from boresight.scenarios.spec.scenario import ColmapSpec, ImageSetSpec
 
 QUATERNION_TOLERANCE = 1e-3
 _EXCESS = "\n"  # key of surplus cells: no column can be called so
@@ -155,10 +156,13 @@ def _files(rows: Sequence[_Row]) -> list[str]:
 
 
 def _sun(row: _Row) -> FloatArray:
-    sun = row.numbers(_SUN)
+    return _unit(row.numbers(_SUN), f"{row.place}: sun_body_x, _y, _z")
+
+
+def _unit(sun: FloatArray, place: str) -> FloatArray:
     length = float(np.linalg.norm(sun))
     if not length > 0.0:
-        raise BoresightError(f"{row.place}: sun_body_x, _y, _z: {sun.tolist()} has no direction")
+        raise BoresightError(f"{place}: {sun.tolist()} has no direction")
     return sun / length
 
 
@@ -203,9 +207,30 @@ def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera
     )
 
 
+def _table_of_colmap(folder: Path, spec: ColmapSpec, prefix: str, camera: Camera) -> PoseTable:
+    model, path = colmap.read_colmap(folder, {"m": 1.0, "km": 1e3}[spec.unit]), folder / colmap.IMAGES
+    poses = []
+    for one in spec.images:
+        # A model names its images from their own folder on, which may lie below that of the set.
+        known = [name for name in model if f"/{one.image}".endswith(f"/{name}")]
+        if not known:
+            raise BoresightError(f"{path}: holds no pose of {one.image}, of {len(model)} images")
+        own, pose = model[max(known, key=len)]
+        check_camera(camera, own, one.image, str(folder / colmap.CAMERAS))
+        if pose.translation_m[2] <= 0.0:
+            raise BoresightError(f"{path}: {one.image}: the body is behind the camera")
+        poses.append(pose)
+    return PoseTable(
+        tuple(one.image for one in spec.images),
+        np.array([one.time_s for one in spec.images]),
+        np.array([_unit(np.array(one.sun_body), f"images.colmap: {one.image}: sun_body") for one in spec.images]),
+        {prefix: tuple(poses)},
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedImageSet:
-    """Image set whose epochs, directions to the Sun and poses come from a table or from SUM files, ``sources``.
+    """Image set whose epochs, directions to the Sun and poses come from files, ``sources``, or from the scenario.
 
     ``adjusted`` is the table of ``images.adjusted``, with its own directions to the Sun.
     ``version`` enters the digest of every run: raise it when pixels or views change.
@@ -224,17 +249,21 @@ class PosedImageSet:
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
-        """Read and check the table or the SUM files, and check that every image exists; the images are read later.
+        """Read and check the table or the files of poses, and check that every image exists; the images are read later.
 
         A relative ``folder`` is searched for in ``search_dirs``, then in ``$BORESIGHT_DATA/images`` and
         ``$BORESIGHT_DATA``. Raise `BoresightError` if a file is missing or contains an error, or if the camera is not
-        that of a SUM file.
+        that of a SUM file or of a model.
         """
-        first = spec.table if spec.sumfiles is None else spec.sumfiles[0].sumfile
+        first = colmap.IMAGES if spec.colmap is not None else spec.table
+        first = first if spec.sumfiles is None else spec.sumfiles[0].sumfile
         path = find_data_file(f"{spec.folder}/{first}", search_dirs, "images", "images.folder")
         folder = path.parent
-        if spec.sumfiles is None:
-            sources: tuple[Path, ...] = (path,)
+        sources: tuple[Path, ...] = (path,)
+        if spec.colmap is not None:
+            sources = (folder / colmap.CAMERAS, path)
+            table = _table_of_colmap(folder, spec.colmap, spec.truth, camera)
+        elif spec.sumfiles is None:
             own = None if spec.adjusted is None else spec.adjusted.name
             named, moved = (spec.truth, *spec.also_score), {one.name: one.of for one in spec.moved}
             table = read_table(path, tuple(dict.fromkeys(moved.get(name, name) for name in named if name != own)))
@@ -263,12 +292,12 @@ class PosedImageSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """File names in the order of the table or of ``sumfiles``."""
+        """File names in the order of the table, of ``sumfiles`` or of ``colmap.images``."""
         return self.table.files
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The table or the SUM files, and the images."""
+        """The files of poses, and the images."""
         return (*self.sources, *(self.folder / name for name in self.names))
 
     def time_s(self, index: int) -> float:

@@ -61,8 +61,25 @@ class SumfileSpec(SpecModel):
     sumfile: str = Field(pattern=r"^[^/\\]+$", description="SUM file in that folder")
 
 
+class ColmapImageSpec(SpecModel):
+    """An image of a model of COLMAP, with what the model does not hold."""
+
+    image: str = Field(
+        pattern=r"^[^/\\][^\\]*$", description="Image in the folder of the set; its end is the name in the model"
+    )
+    sun_body: Row3 = Field(description="Direction to the Sun in the body frame, of any length")
+    time_s: float = Field(0.0, ge=-1e12, le=1e12, description="Epoch, where it is known")
+
+
+class ColmapSpec(SpecModel):
+    """Poses of a binary model of COLMAP (cameras.bin, images.bin), which must be in the frame of the shape."""
+
+    unit: Literal["m", "km"] = Field("m", description="Unit of the model's translations")
+    images: tuple[ColmapImageSpec, ...] = Field(min_length=1, description="Images of the set")
+
+
 class ImageSetSpec(SpecModel):
-    """Real images instead of rendered ones, with poses from a table, from SUM files or from SPICE kernels."""
+    """Real images instead of rendered ones, with poses from a table, SUM files, a model of COLMAP or SPICE kernels."""
 
     prose: ClassVar = frozenset({"credit", "aligned"})
 
@@ -75,10 +92,11 @@ class ImageSetSpec(SpecModel):
     sumfiles: tuple[SumfileSpec, ...] | None = optional(
         "Poses from SUM files of stereophotoclinometry instead of the table: each image with its file", min_length=1
     )
+    colmap: ColmapSpec | None = optional("Poses from a model of COLMAP in that folder instead of the table")
     truth: str = Field(
         "ref",
         min_length=1,
-        description="Prefix of the columns that are scored against; with spice or sumfiles a name for their pose",
+        description="Prefix of the columns that are scored against; without a table a name for their pose",
     )
     also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
     aligned: tuple[str, ...] = Field(
@@ -134,19 +152,21 @@ class ImageSetSpec(SpecModel):
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        senseless = self.stated("table", "first_row", "sumfiles", "also_score", "moved", "adjusted")
+        senseless = self.stated("table", "first_row", "sumfiles", "colmap", "also_score", "moved", "adjusted")
         if self.spice is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
 
     @rule
-    def _sumfiles_have_one_pose_of_each_image(self) -> None:
-        senseless = self.stated("table", "also_score", "moved", "adjusted")
-        if self.sumfiles is not None and senseless:
-            raise ValueError(f"{', '.join(senseless)} has no meaning beside sumfiles; leave it out")
-        names = [one.image for one in self.sumfiles or ()]
+    def _without_a_table_each_image_has_one_pose(self) -> None:
+        source = "sumfiles" if self.sumfiles is not None else "colmap"
+        listed = self.sumfiles if self.colmap is None else self.colmap.images
+        senseless = self.stated("table", "also_score", "moved", "adjusted", *({"sumfiles", "colmap"} - {source}))
+        if listed is not None and senseless:
+            raise ValueError(f"{', '.join(senseless)} has no meaning beside {source}; leave it out")
+        names = [one.image for one in listed or ()]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"sumfiles: {twice[0]} appears twice")
+            raise ValueError(f"{source}: {twice[0]} appears twice")
 
 
 _ONBOARD_OF = {

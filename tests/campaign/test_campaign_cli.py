@@ -69,6 +69,7 @@ def test_list_has_a_line_of_each_campaign_under_its_heading(capsys, monkeypatch,
         "trade-slam": ("compare", "100 x 2", "-"),
         "compare-navcam67p": ("real data", "600 x 2", "images"),
         "bennu-real": ("real data", "100", "images"),
+        "dawn-vesta-real": ("real data", "20 x 2", "images"),
         "rowell2015-real": ("real data", "1320", "images"),
         "rowell2015-sensitivity": ("sensitivity", "300", "data"),
     }

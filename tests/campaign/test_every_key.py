@@ -77,6 +77,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "onboard.rotation_error_deg": (None, "{uniform: [1, 1]}"),
     "images.folder": (None, "other"),
     "images.table": (None, "more.csv"),
+    "images.colmap.images": (None, "[{image: b.png, sun_body: [0, 0.6, -0.8]}]"),
+    "images.colmap.unit": (None, "km"),
     "images.sumfiles": (None, "[{image: a.png, sumfile: b.SUM}]"),
     "images.spice.files": (None, "b*.lbl"),
     "images.spice.kernels": (None, KERNELS.replace("tiny.tf", "tiny.tf, still.tf")),

@@ -428,6 +428,7 @@ def test_the_poses_of_the_comet_are_ours_and_part_of_boresight(tmp_path):
         ("rowell2015-simulated", ["itokawa-gaskell"], []),
         ("navcam67p-real", ["comet-67p", "navcam-67p"], []),
         ("bennu-real", ["bennu-mapcam"], []),
+        ("dawn-vesta-real", ["dawn-vesta"], []),
         ("delpech2015-sensitivity", ["apophis", "itokawa-gaskell", "itokawa-radar"], []),
         ("rowell2015", ["itokawa-gaskell", "comet-67p", "navcam-67p"], ["amica-20051001", "hayabusa-spice"]),
         ("cheng2003", ["eros"], []),

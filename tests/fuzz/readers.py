@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from colmap_models import write_model
 from fuzz import recipes, run_folders
 from track_tables import make_world
 
@@ -33,6 +34,7 @@ from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.options import parse_options
 from boresight.estimators.slam.options import BundleOptions
 from boresight.renderers.images import open_product
+from boresight.renderers.images.colmap import read_colmap
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
 from boresight.renderers.images.sumfile import read_sumfile
@@ -227,6 +229,23 @@ def sumfile(path: Path) -> object:
     return read.camera.project(read.T_cam_body.transform(np.eye(3)))
 
 
+def colmap(name: str) -> Reader:
+    """Return the reader of one file of a model, next to the other one as it should be."""
+
+    def read(path: Path) -> object:
+        content = path.read_bytes()
+        write_model(path.parent, {"a.png": (1, 0, 0, 0, 0, 0, 9)})
+        path.write_bytes(content)
+        return [camera.project(pose.transform(np.eye(3))) for camera, pose in read_colmap(path.parent, 1.0).values()]
+
+    def written() -> tuple[bytes, ...]:
+        with tempfile.TemporaryDirectory() as folder:
+            write_model(Path(folder), {"a.png": (1, 0, 0, 0, 0, 0, 9), "b.png": (0, 1, 0, 0, 0, 0, 9)})
+            return ((Path(folder) / name).read_bytes(),)
+
+    return Reader(in_file(name, read), (b"\0" * 8, b"\xff" * 8, b"\x01" + b"\0" * 7, b"\0\0\xf0\x7f"), written=written)
+
+
 def label(content: bytes, folder: Path) -> object:
     (folder / "a.img").write_bytes(struct.pack(">35h", *range(35)))
     return in_file("a.lbl", product)(content, folder)
@@ -321,6 +340,8 @@ READERS = {
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")
     ),
     "sumfile": Reader(in_file("x.SUM", sumfile), SUMFILES),
+    "colmap-cameras": colmap("cameras.bin"),
+    "colmap-images": colmap("images.bin"),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
     "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
     "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import trimesh
+from colmap_models import write_model
 from tiny_mission import make_mission
 from tiny_pairs import PAIRS
 from track_tables import SCENE, make_world
@@ -121,6 +122,11 @@ images: {folder: set, truth: third, also_score: [label], adjusted: {name: third,
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, focal_px: [150, 150], principal_point_px: [24, 20]}
 images: {folder: set, truth: spc, sumfiles: [{image: a.png, sumfile: a.SUM}]}
+""",
+    "colmap": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, focal_px: [150, 150], principal_point_px: [24, 20]}
+images: {folder: set, truth: sfm, colmap: {images: [{image: a.png, sun_body: [0, 0.6, -0.8]}]}}
 """,
     "spice": f"""
 body: {{shape: contact-binary}}
@@ -245,6 +251,8 @@ def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
         cv2.imwrite(str(folder / name), rng.integers(0, 255, (40, 48), dtype=np.uint8))
     for name, range_km in (("a", 2.0), ("b", 2.1)):
         (folder / f"{name}.SUM").write_text(SUMFILE.format(range_km=range_km))
+    poses = {"a.png": (1, 0, 0, 0, 0, 0, 2000), "b.png": (1, 0, 0, 0, 0, 80, 2000)}
+    write_model(folder, poses, (1, (150, 150, 24, 20)), (48, 40))
     for table, shift in (("poses.csv", 0.0), ("more.csv", 5.0)):
         with (folder / table).open("w", newline="") as stream:
             writer = csv.writer(stream)

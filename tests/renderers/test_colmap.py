@@ -1,0 +1,109 @@
+"""Models of COLMAP: against OpenCV's projection, the sightings of a model of Dawn at Vesta, and damaged files."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from colmap_models import PINHOLE, sightings, write_model
+from mission_data import data_path, needs_data
+from painted_bodies import correlation, painted
+from scipy.spatial.transform import Rotation
+
+from boresight.renderers.images import PosedImageSet
+from boresight.renderers.images.colmap import read_colmap
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.scenario import ImageSetSpec
+
+VESTA = "images/dawn_fc_vesta"
+CAMERA = {"width_px": 1000, "height_px": 800, "fx_px": 1500.0, "fy_px": 1490.0, "cx_px": 500.0, "cy_px": 380.0}
+TURN = Rotation.from_euler("xyz", [100, 20, -30], degrees=True)
+POSE = (*TURN.as_quat(scalar_first=True), 0.02, -0.03, 4.0)
+
+
+def open_set(folder, camera=CAMERA, image="images/a.png", **keys):
+    (folder / "images").mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "images" / "a.png"), np.zeros((800, 1000), np.uint8))
+    colmap = {"unit": "km", "images": [{"image": image, "sun_body": [0, 3, 4], "time_s": 7}], **keys}
+    spec = ImageSetSpec.model_validate({"folder": str(folder), "colmap": colmap, "truth": "sfm"})
+    return PosedImageSet.open(spec, Camera(**camera))
+
+
+@pytest.mark.parametrize("name", ["a.png", "images/a.png"])
+def test_points_are_where_opencv_projects_them(tmp_path, name):
+    write_model(tmp_path, {"other.png": (1, 0, 0, 0, 0, 0, 1), name: POSE})
+    images = open_set(tmp_path)
+    view, points_m = images.view(0), np.random.default_rng(1).normal(0, 300, (9, 3))
+    matrix = np.array([[1500.0, 0, 500], [0, 1490, 380], [0, 0, 1]])
+    there, _ = cv2.projectPoints(points_m, TURN.as_rotvec(), 1e3 * np.array(POSE[4:]), matrix, None)
+    np.testing.assert_allclose(view.camera.project(view.T_cam_body.transform(points_m)), there[:, 0], atol=1e-9)
+    np.testing.assert_allclose(view.sun_dir_body, [0, 0.6, 0.8], atol=1e-15)
+    assert images.time_s(0) == 7
+    assert [path.name for path in images.files] == ["cameras.bin", "images.bin", "a.png"]
+
+
+def test_a_camera_with_one_focal_length_is_read(tmp_path):
+    write_model(tmp_path, {"a.png": POSE}, (0, (1500.0, 500.0, 380.0)))
+    ((camera, _),) = read_colmap(tmp_path, 1.0).values()
+    assert camera == Camera(**{**CAMERA, "fy_px": 1500.0})
+
+
+@pytest.mark.parametrize(
+    ("poses", "camera", "said"),
+    [
+        ({"b.png": POSE}, PINHOLE, r"images\.bin: holds no pose of images/a\.png, of 1 images"),
+        ({"a.png": (*POSE[:6], -4.0)}, PINHOLE, r"images\.bin: images/a\.png: the body is behind the camera"),
+        ({"a.png": (1, 1, *POSE[2:])}, PINHOLE, r"images\.bin: a\.png: the quaternion does not have length 1"),
+        ({"a.png": (*POSE[:6], np.nan)}, PINHOLE, r"images\.bin: byte 8: a number that is not finite"),
+        ({"a.png": POSE}, (4, (1500.0, 1490.0, 500.0, 380.0, 0, 0, 0, 0)), r"camera 7 has a lens \(model 4\)"),
+        ({"a.png": POSE}, (1, (1500.0, 1490.0, 501.0, 380.0)), "principal_point_px: \\[501, 380\\]"),
+        ({"a.png": POSE}, (1, (-5.0, 1490.0, 500.0, 380.0)), "no camera has 1000 x 800 pixels and focal lengths of -5"),
+    ],
+)
+def test_models_that_do_not_fit_are_refused(tmp_path, poses, camera, said):
+    write_model(tmp_path, poses, camera)
+    with pytest.raises(BoresightError, match=said):
+        open_set(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_no_part_of_a_file_may_be_missing(tmp_path, name):
+    write_model(tmp_path, {"a.png": POSE})
+    content = (tmp_path / name).read_bytes()
+    for size in range(len(content)):
+        (tmp_path / name).write_bytes(content[:size])
+        with pytest.raises(BoresightError, match=rf"{name}: cut short, or not a binary model of COLMAP"):
+            read_colmap(tmp_path, 1.0)
+
+
+@needs_data(VESTA)
+def test_the_sightings_of_vesta_are_where_the_poses_of_the_model_project_its_points():
+    spec = load_scenario("dawn-vesta-real").spec
+    images = PosedImageSet.open(spec.images, spec.camera.camera())
+    seen = sightings(data_path(VESTA))
+    for index, name in enumerate(images.names):
+        points_km, uv_px = seen[name.removeprefix("images/")]
+        view = images.view(index)
+        assert len(points_km) > 1000
+        # The camera of the scenario has four decimals.
+        np.testing.assert_allclose(view.camera.project(view.T_cam_body.transform(1e3 * points_km)), uv_px, atol=1e-3)
+
+
+@needs_data(VESTA)
+def test_no_other_order_of_rows_and_columns_fits_the_images_of_vesta():
+    """The shape, painted with OpenCV at the pose of the model, against each image in all eight orders.
+
+    Lambert's law is not that of Vesta, so that even in the right order the images differ.
+    """
+    spec = load_scenario("dawn-vesta-real").spec
+    images = PosedImageSet.open(spec.images, spec.camera.camera())
+    shape = trimesh.load(data_path(f"{VESTA}/vesta_5002.ply"), process=False)
+    for index in range(len(images)):
+        lambert = painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), images.view(index))
+        orders = [np.rot90(turned, k) for turned in (lambert, lambert.T) for k in range(4)]
+        scores = [correlation(images.image(index), order) for order in orders]
+        assert scores[0] > 0.75
+        assert max(scores[1:]) < 0.6
