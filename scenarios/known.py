@@ -127,7 +127,8 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         onboard, lens = spec.onboard, ["lens"] if spec.camera.distortion is not None else []
         unknown = ["shape", ALBEDO, "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
         sun = _errors(f"Sun as the pose {spec.images.truth} has it", {"": onboard.sun_error_deg})
-        return Known((sun, *_pose(spec), *_nots(*unknown)), ("The images are real",), spec.images.aligned)
+        survey = ("Images of the survey are at their reference poses",) if spec.images.survey else ()
+        return Known((sun, *_pose(spec), *_nots(*unknown)), ("The images are real", *survey), spec.images.aligned)
     if experiment not in _OF_IMAGES:
         raise BoresightError(f"experiment: {experiment!r}: it is not stated what is known on board in such trials")
     if experiment == "pose-convergence":  # landmark errors are drawn from the covariances that solvers use

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-from boresight.renderers.images import ImageSet, PosedImageSet, keep_clear
+from boresight.renderers.images import ImageSet, PosedImageSet, keep_clear, split_survey
 from boresight.renderers.mitsuba3.rays import outline_points
 from boresight.scenarios.bodies import body_digest, load_body
 from boresight.scenarios.errors import BoresightError
@@ -28,6 +28,14 @@ def open_images(scenario: LoadedScenario) -> ImageSet:
     """
     # The digests are part of the cache's key, as a file may change under the same name.
     return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))
+
+
+def open_survey(scenario: LoadedScenario) -> ImageSet:
+    """Open the real images of a scenario that are for data bases; raise BoresightError if it has none."""
+    spec = scenario.spec.images
+    if spec is None or not spec.survey:
+        raise BoresightError(f"{scenario.path}: images.survey names no images, but database.source is survey")
+    return split_survey(_all_images(scenario), spec.survey)[1]
 
 
 def open_tracks(scenario: LoadedScenario) -> TrackTable | None:
@@ -77,6 +85,8 @@ def left_out_notes(scenario: LoadedScenario) -> list[str]:
 @lru_cache(maxsize=4)
 def _usable(scenario: LoadedScenario, *_content: str) -> ImageSet:
     images, spec = _all_images(scenario), scenario.spec
+    if spec.images is not None and spec.images.survey:
+        images, _ = split_survey(images, spec.images.survey)
     if spec.images is None or not spec.images.keep_clear_px:
         return images
     body = load_body(spec.body, scenario.search_dirs)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import ImageStore
 from boresight.campaign.imaging.preview import typical_range_m
+from boresight.campaign.imaging.real_images import images_digest
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
@@ -71,6 +72,8 @@ def content_key(
         "versions": [*versions, renderer_version(spec)[1]],
         "variant": variant,
     }
+    if getattr(options, "source", "rendered") == "survey" and spec.images is not None:
+        parts["survey"] = [canonical_json(spec.images), images_digest(scenario)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
 
@@ -155,7 +158,7 @@ def _in_worker(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseImage:
-    """Image of the believed body with its view, and whether it came from the store."""
+    """Image of the believed body, or a real one of a survey, with its view, and whether it came from the store."""
 
     pixels: NDArray[np.float32]
     view: View

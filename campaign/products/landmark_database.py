@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from boresight.campaign.products.databases import ProductKind, content_key, database_images, map_images
+from boresight.campaign.imaging.real_images import open_survey
+from boresight.campaign.products.databases import (
+    DatabaseImage,
+    ProductKind,
+    content_key,
+    database_images,
+    map_images,
+)
 from boresight.estimators.descriptors.database import METHOD_VERSION as DESCRIPTORS_VERSION
 from boresight.estimators.descriptors.database import (
     DescriptorDatabase,
@@ -27,6 +34,7 @@ from boresight.estimators.landmark.database import (
 from boresight.estimators.maplets.build import METHOD_VERSION as MAPLETS_VERSION
 from boresight.estimators.maplets.build import MapletOptions, build_maplets
 from boresight.estimators.maplets.database import MapletDatabase
+from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
@@ -100,8 +108,11 @@ def build(
 def build_descriptors(
     scenario: LoadedScenario, options: DescriptorOptions, folder: Path, jobs: int, variant: str
 ) -> Mapping[str, object]:
-    """Build the data base of features of rendered images, de-projected onto the body, and store it in ``folder``."""
-    found = map_images(jobs, options.images, _features_of_images, scenario, options, variant)
+    """Build the data base of features of images, de-projected onto the believed body, and store it in ``folder``."""
+    if options.source == "survey":
+        found = _features_of_survey(scenario, options, variant)
+    else:
+        found = map_images(jobs, options.images, _features_of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": DESCRIPTORS_VERSION}
     DescriptorDatabase(options.kind, views, provenance).save(folder)
@@ -115,6 +126,19 @@ def _features_of_images(
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
         for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
     ]
+
+
+def _features_of_survey(
+    scenario: LoadedScenario, options: DescriptorOptions, variant: str
+) -> list[tuple[ViewFeatures, bool]]:
+    """Find the features of the real images of a survey, with their reference poses."""
+    images, found = open_survey(scenario), []
+    for index in range(len(images)):
+        seen = images.view(index)
+        view = replace(seen, camera=seen.camera.pinhole)
+        image = DatabaseImage(rectify(images.image(index), seen.camera), view, scenario, variant, from_store=False)
+        found.append((view_features(image.pixels, view, image.deproject, options), False))
+    return found
 
 
 def build_maplet_database(
@@ -137,7 +161,7 @@ PRODUCTS = {
     "descriptors": ProductKind(
         options=DescriptorOptions,
         versions=lambda: [DESCRIPTORS_VERSION],
-        announce=lambda options: f"{options.kind}, {options.images} images",
+        announce=lambda options: f"{options.kind}, {'survey' if options.source == 'survey' else options.images} images",
         build=build_descriptors,
         load=DescriptorDatabase.load,
         about=lambda database: {"descriptors": database.kind, "n_landmarks": database.n_features},

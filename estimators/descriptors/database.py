@@ -21,7 +21,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View, pixel_from_opencv
 from boresight.scenarios.reading import LARGEST_NUMBER
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, rule
 
 Kind = Literal["sift", "orb"]
 DESCRIPTOR_BYTES = {"sift": 128, "orb": 32}
@@ -97,10 +97,21 @@ def match_features(
 class DescriptorViewOptions(SpecModel):
     """Options of the images of a data base of descriptors, and of the features in them."""
 
+    source: Literal["rendered", "survey"] = Field(
+        "rendered",
+        exclude_if=lambda value: value == "rendered",
+        description="Images of the data base: rendered, or the real ones of the scenario's images.survey",
+    )
     images: int = Field(200, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
     seed: int = Field(0, ge=0, description="Seed of their views")
     features: FeatureOptions = FeatureOptions()
+
+    @rule
+    def _a_survey_has_its_views(self) -> None:
+        senseless = self.stated("images", "phase_deg_max", "seed")
+        if self.source == "survey" and senseless:
+            raise ValueError(f"{', '.join(senseless)} has no meaning for images of a survey; leave it out")
 
 
 class DescriptorOptions(DescriptorViewOptions):
@@ -114,8 +125,8 @@ def view_features(
 ) -> ViewFeatures:
     """Find the features of one image and project them onto the body.
 
-    ``image`` (H, W) has no noise. ``deproject`` maps pixels (M, 2) to points of the surface (M, 3) in the body frame,
-    m; NaN where a pixel is on the sky.
+    ``image`` (H, W) is rendered without noise, or real. ``deproject`` maps pixels (M, 2) to points of the surface
+    (M, 3) in the body frame, m; NaN where a pixel is on the sky.
     """
     features = find_features(image, options.kind, options.features)
     points_m = np.asarray(deproject(features.uv_px), dtype=np.float64).reshape(-1, 3)

@@ -1,6 +1,6 @@
 """Sets of real images that replace rendered ones, and readers of the formats in which missions publish images."""
 
-from boresight.renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation
+from boresight.renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation, split_survey
 from boresight.renderers.images.posed_set import PosedImageSet
 from boresight.renderers.images.product import open_product
 
@@ -10,4 +10,5 @@ __all__ = [
     "keep_clear",
     "keep_clear_violation",
     "open_product",
+    "split_survey",
 ]

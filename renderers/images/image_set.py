@@ -171,6 +171,20 @@ class Selection:
             self.image(index)
 
 
+def split_survey(images: ImageSet, survey: Sequence[str]) -> tuple[Selection, Selection]:
+    """Split a set into the images of trials and those of a survey, named so; raise BoresightError for a wrong name."""
+    unknown = [name for name in survey if name not in images.names]
+    rest = [name for name in images.names if name not in survey]
+    if unknown or not rest:
+        raise BoresightError(f"images.survey: {f'no image is called {unknown[0]}' if unknown else 'no image remains'}")
+
+    def of(names: Sequence[str], why: str) -> Selection:
+        others = tuple((name, why) for name in images.names if name not in names)
+        return Selection(images, tuple(images.names.index(name) for name in names), (*images.left_out, *others))
+
+    return of(rest, "an image of the survey"), of(survey, "not of the survey")
+
+
 def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> Selection:
     """Leave out the images in which the body overlaps given rectangles of the detector.
 

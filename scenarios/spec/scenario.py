@@ -115,6 +115,11 @@ class ImageSetSpec(SpecModel):
         exclude_if=lambda value: not value,
         description="Render the views of the images with the pose of truth, through detector, in place of reading them",
     )
+    survey: tuple[str, ...] = Field(
+        (),
+        exclude_if=lambda value: not value,
+        description="Images of the set that are for data bases of methods (database.source: survey), not for trials",
+    )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
     keep_clear_px: tuple[Rectangle, ...] = Field(
         (),
@@ -149,10 +154,12 @@ class ImageSetSpec(SpecModel):
     def _renderings_have_one_pose(self) -> None:
         if self.rendered and (self.also_score or self.aligned):
             raise ValueError("rendered images have the pose of truth and no other: leave also_score and aligned empty")
+        if self.rendered and self.survey:
+            raise ValueError("survey: images of a survey are real ones, not rendered")
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        senseless = self.stated("table", "first_row", "sumfiles", "colmap", "also_score", "moved", "adjusted")
+        senseless = self.stated("table", "first_row", "sumfiles", "colmap", "also_score", "moved", "adjusted", "survey")
         if self.spice is not None and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
 

@@ -88,6 +88,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "images.also_score": ("real", "[third]"),
     "images.noise_realisations": ("real", "1"),
     "images.rendered": ("spice", "true"),
+    "images.survey": ("real", "[a.png]"),
     "images.moved": ("moved", "[{name: placed, of: label, origin_m: [3, 0, 0]}]"),
     "images.adjusted.name": (None, "label"),
     "images.adjusted.table": (None, "set/poses.csv"),

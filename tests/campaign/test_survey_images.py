@@ -1,0 +1,141 @@
+"""Data bases of descriptors from the real images of a survey: places of the features, and what depends on them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from tiny_campaign import compute, write_campaign
+
+import boresight
+from boresight.campaign.products import BuiltAssets
+from boresight.campaign.products.assets import product_key
+from boresight.campaign.store import RunFolder
+from boresight.estimators.descriptors.database import DescriptorDatabase, DescriptorOptions
+from boresight.renderers.images import PosedImageSet
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
+from boresight.scenarios.load import load_scenario
+
+SCENE = """
+body:
+  shape: contact-binary
+  detail: {facets: 60000, seed: 3, craters: {count: 150, min_diameter_m: 15, max_diameter_m: 90}}
+camera: {width_px: 256, height_px: 256, fov_deg: 18}
+"""
+IMAGES = "images: {folder: set, noise_realisations: 2%s}\n"
+SURVEY = ", survey: [0.png, 2.png]"
+PRIOR = (
+    "pose_error: {position_cam_m: {normal: [10, 10, 10]}, attitude: {rotation_vector_deg: {normal: [0.1, 0.1, 0.1]}}}\n"
+)
+METHOD = "landmark-sift: {database: {source: survey}}"
+POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Three views, 4 deg apart, of the contact binary as PNG files, with a table of their poses."""
+    (tmp_path / "set").mkdir()
+    (tmp_path / "bare.yaml").write_text(SCENE + "viewpoint: {range_m: 2000}\n")
+    camera = load_scenario(str(tmp_path / "bare.yaml")).spec.camera.camera()
+    renderer = boresight.MitsubaRenderer(
+        boresight.load_body(load_scenario(str(tmp_path / "bare.yaml")).spec.body).mesh,
+        load_scenario(str(tmp_path / "bare.yaml")).spec.brdf,
+    )
+    sun = np.array([0.5, -0.5, 0.7])
+    rows = [",".join(["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z", *(f"ref_{one}" for one in POSE)])]
+    for number, angle in enumerate(np.radians([0.0, 4.0, 8.0])):
+        position_m = 2000.0 * np.array([np.cos(angle), np.sin(angle), 0.1])
+        pose = look_at(position_m, np.zeros(3))
+        image = renderer.render(boresight.View(camera, pose, sun))
+        cv2.imwrite(str(tmp_path / "set" / f"{number}.png"), np.round(255 * image / image.max()).astype(np.uint8))
+        numbers = [number, *sun, *pose.quat_wxyz, *pose.translation_m]
+        rows.append(",".join([f"{number}.png", *map(repr, map(float, numbers))]))
+    (tmp_path / "set" / "poses.csv").write_text("\n".join(rows) + "\n")
+    return tmp_path
+
+
+def scene(place, images=IMAGES % SURVEY):
+    (place / "scene.yaml").write_text(SCENE + images + PRIOR)
+    return load_scenario(str(place / "scene.yaml"))
+
+
+def campaign(place, images, method=METHOD):
+    text = f"scenarios: [scene]\nestimators: [prior, {{{method}}}]\ntrials: 2\nseed: 1\n"
+    return write_campaign(place, text, SCENE + images + PRIOR)
+
+
+def test_features_of_a_survey_lie_where_opencv_projects_their_points(place):
+    options = DescriptorOptions(kind="sift", source="survey")
+    assets = BuiltAssets(scene(place), place / "products", 1, choose_variant().name)
+    database = assets.product("descriptors", options.model_dump())
+    assert isinstance(database, DescriptorDatabase)
+    loaded = load_scenario(str(place / "scene.yaml")).spec
+    images = PosedImageSet.open(loaded.images, loaded.camera.camera(), (place,))
+    sift = cv2.SIFT.create(contrastThreshold=0.02, enable_precise_upscale=True)
+    for found, index in zip(database.views, (0, 2), strict=True):
+        view = images.view(index)
+        turn, _ = cv2.Rodrigues(view.T_cam_body.rotation)
+        uv, _ = cv2.projectPoints(found.points_m, turn, view.T_cam_body.translation_m, view.camera.matrix, None)
+        # OpenCV's own features of the image, whose first pixel has its centre at 0.
+        image = images.image(index)
+        grey = np.clip(np.rint(200 * image / np.percentile(image[image > 0], 99)), 0, 255).astype(np.uint8)
+        theirs = np.array([point.pt for point in sift.detect(grey, None)]) + 0.5
+        nearest = np.linalg.norm(uv - theirs[None], axis=2).min(axis=1)
+        assert len(nearest) > 50
+        assert np.median(nearest) < 0.05
+
+
+def test_trials_have_the_other_images_and_are_solved_by_those_of_the_survey(place):
+    compute(campaign(place, IMAGES % SURVEY), place / "run", 2)
+    rows = RunFolder(place / "run").table("rows")
+    assert set(rows["image"]) == {"1.png"}
+    own = rows[rows["estimator"] == "landmark-sift"]
+    assert (own["status"] == "ok").all()
+    # Features are found to a pixel, 2.5 m, and the attitude of the prior is good to 0.1 deg, 3.5 m.
+    assert (own["position_error_m"] < 10.0).all()
+
+
+def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(place):
+    variant = choose_variant().name
+
+    def keys(images):
+        loaded = scene(place, images)
+        return [
+            product_key(loaded, "descriptors", DescriptorOptions(kind="sift", source=source), variant)
+            for source in ("survey", "rendered")
+        ]
+
+    before = keys(IMAGES % SURVEY)
+    assert before[0] != keys(IMAGES % ", survey: [1.png, 2.png]")[0]
+    cv2.imwrite(str(place / "set" / "0.png"), np.zeros((256, 256), np.uint8))
+    again = keys(IMAGES % SURVEY)
+    assert before[0] != again[0]
+    assert before[1] == again[1]
+
+
+@pytest.mark.parametrize(
+    ("images", "method", "said"),
+    [
+        (IMAGES % ", survey: [7.png]", METHOD, r"images\.survey: no image is called 7\.png"),
+        (IMAGES % ", survey: [0.png, 1.png, 2.png]", METHOD, r"images\.survey: no image remains"),
+        (IMAGES % ", rendered: true, survey: [0.png]", METHOD, "images of a survey are real ones, not rendered"),
+        (
+            IMAGES % SURVEY,
+            METHOD.replace("survey", "survey, images: 9"),
+            "images has no meaning for images of a survey",
+        ),
+    ],
+)
+def test_surveys_that_cannot_be_are_refused(place, images, method, said):
+    with pytest.raises(BoresightError, match=said):
+        boresight.run(campaign(place, images, method), out=place / "run", jobs=1)
+
+
+def test_without_a_survey_there_is_no_data_base_of_it(place):
+    compute(campaign(place, IMAGES % ""), place / "run", 2)
+    rows = RunFolder(place / "run").table("rows")
+    own = rows[rows["estimator"] == "landmark-sift"]
+    assert (own["status"] == "error").all()
+    assert own["reason"].str.contains("images.survey names no images, but database.source is survey").all()
