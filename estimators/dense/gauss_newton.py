@@ -17,6 +17,7 @@ from boresight.estimators.landmark.alignment import (
     MeshView,
     align_translation,
     correlation_pair,
+    is_cut,
 )
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.prior import floor_variances
@@ -30,6 +31,8 @@ _ROBUST_SIGMA = 1.4826
 _REWEIGHTINGS = 3
 _DARK = 1e-3
 _MARGIN_PX = 5
+# Without a limb around it a body is drawn by the law of reflectance, which is wrong, to where its mean brightness fits.
+_CUT_BACKGROUND_PX = 6.0
 # Derivatives are recomputed after the body has moved farther than this, in pixels of the level.
 _STALE_PX = 0.5
 
@@ -44,7 +47,11 @@ class LevelOptions(SpecModel):
     reduction: Literal[1, 2, 4, 8, 16] = Field(1, description="Side of the square of pixels that are averaged into one")
     blur_px: float = Field(1.0, ge=0, le=20, description="Blur of both images, in pixels of this level")
     background_px: float = Field(
-        0.0, ge=0, le=100, description="Blur of the subtracted background, in pixels of this level; 0: none"
+        0.0,
+        ge=0,
+        le=100,
+        description="Blur of the subtracted background, in pixels of this level; 0: none, or 6 where the frame cuts the"
+        " body",
     )
     iterations: int = Field(6, ge=1, le=200, description="Steps at most")
 
@@ -327,7 +334,9 @@ def register(
     # The prior is that of the frame, not shifted: the shift comes from the same image.
     prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
     fits: list[LevelFit] = []
-    for level in options.levels:
+    least_px = _CUT_BACKGROUND_PX if is_cut(observed) else 0.0
+    for wanted in options.levels:
+        level = wanted.model_copy(update={"background_px": wanted.background_px or least_px})
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
             fits.append(fit_level(observed, begin, view, prior, size_m, level, options))

@@ -77,7 +77,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -189,7 +189,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = WholeImageOptions
 
     @classmethod

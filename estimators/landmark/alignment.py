@@ -132,6 +132,12 @@ def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) ->
     return origin_px + best_shift(observed, rendered), origin_px
 
 
+def is_cut(observed: Image) -> bool:
+    """Say whether the frame cuts the body: a part of the border of the signal (H, W) is lit."""
+    border = np.concatenate([observed[0], observed[-1], observed[:, 0], observed[:, -1]])
+    return bool(np.count_nonzero(border) > _CUT_SHARE * len(border))
+
+
 def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """Shift (du, dv) in px that moves the rendered image onto the observed one.
 
@@ -139,8 +145,7 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
     parabola interpolates the peak. The search covers all shifts that keep half of the lit part in the image. Where the
     observed body is cut by the frame, that sum would count the part outside as dark: see `_shift_of_overlap`.
     """
-    border = np.concatenate([observed[0], observed[-1], observed[:, 0], observed[:, -1]])
-    if np.count_nonzero(border) > _CUT_SHARE * len(border):
+    if is_cut(observed):
         return _shift_of_overlap(observed, rendered)
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())

@@ -74,6 +74,22 @@ def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
     assert found.diagnostics["correlation"] > 0.99
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_where_the_frame_cuts_the_body_its_mean_brightness_moves_the_pose_less(renderer, seed, monkeypatch):
+    """Half of the body is out of the frame, and brighter to one side than the rendering, as by another reflectance."""
+    beside = Camera(128, 128, CAMERA.fx_px, CAMERA.fy_px, 128.0, 64.0)
+    seen = renderer.render(View(beside, TRUE, TRUE.rotation.T @ SUN_CAM)) * np.linspace(0.7, 1.3, 128, dtype=np.float32)
+    method, found = PhotometricEstimator(renderer, 200.0, OPTIONS), []
+    for background_px in (6.0, 0.0):
+        monkeypatch.setattr("boresight.estimators.dense.gauss_newton._CUT_BACKGROUND_PX", background_px)
+        answer = method.estimate(Observation(beside, frame(seen, seed)), rng=np.random.default_rng(0))
+        assert answer.status == "ok"
+        found.append(errors(answer.pose))
+    (shift_m, turn_deg), without = found
+    assert shift_m < min(3.0, 0.8 * without[0])
+    assert turn_deg < min(0.45, 0.8 * without[1])
+
+
 class Holed:
     """A renderer whose derivatives are not finite in a tenth of the columns."""
 
