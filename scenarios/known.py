@@ -331,15 +331,22 @@ def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
         exact = known.noise_m_s2 is None or known.noise_m_s2 == forces.noise_m_s2
         noise = f"{known.noise_m_s2} for {forces.noise_m_s2:g} m/s2"
         yield _item("size of what is not modelled", exact, noise)
-    yield from _exacts("laws of all errors" + (" but those of pixels" if sighted or vision.track_errors else ""))
+    stated = {"px": known.walk_px, "m": known.field_m}
+    adding = " and ".join(f"{size:g} {unit}" for unit, size in stated.items() if size)
+    adding = f"errors that accumulate by {adding} a frame" if adding else ""
+    yield from _exacts(
+        "laws of all errors" + (" but those of pixels" if sighted or vision.track_errors or adding else "")
+    )
     if sighted is not None:
         yield Item("which landmark is which", "not", "matched in images")
-        yield Item("pixel noise", "not", f"{sighted.sigma_px:g} px are told, a number of the scenario")
+        told = f"{sighted.sigma_px:g} px{adding and f' and {adding}'} are told"
+        yield Item("pixel noise", "not", f"{told}, {'numbers' if adding else 'a number'} of the scenario")
     else:
         shares = {"mismatches": vision.mismatch_share, "outliers": vision.outlier_share, "mistaken": vision.mistaken}
         yield _wrong("which landmark is which", *(_share(share, f" {name}") for name, share in shares.items()))
-        if vision.track_errors is not None:
-            yield Item("pixel noise", "not", f"{vision.noise_px:g} px are told, and nothing of errors that accumulate")
+        if adding or vision.track_errors is not None:
+            told = f"{vision.noise_px:g} px are told, and {adding or 'nothing of errors that accumulate'}"
+            yield Item("pixel noise", "not", told)
         elif not vision.noise_px:
             yield Item("pixel noise", "absent")
     yield from _nots("landmarks")

@@ -146,6 +146,12 @@ class TrackFrame:
         frame to frame, camera misalignment, constant, and the error of `R_body_inertial`, which grows with time.
     attitude_bias_sigma_rad
         The part of it that is correlated from frame to frame: misalignment and body rotation.
+    walk_px
+        Standard deviation of a coordinate's random step since the previous frame, of each track: its errors add up
+        along the track, beside the independent error of `sigma_px`. Zero: none is known of.
+    field_m
+        Standard deviation of each axis of a constant vector a, camera axes: since the previous frame the point that a
+        track follows has moved by ``(a . n) n``, n being its outward normal in camera axes. Zero: none is known of.
     """
 
     time_s: float
@@ -160,6 +166,8 @@ class TrackFrame:
     R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
     attitude_sigma_rad: float = 0.0
     attitude_bias_sigma_rad: float = 0.0
+    walk_px: float = 0.0
+    field_m: float = 0.0
 
     @property
     def attitude_noise_rad(self) -> float:

@@ -81,6 +81,8 @@ def onboard_sequence(
             R_body_inertial=attitudes[i],
             attitude_sigma_rad=float(sigmas[i]),
             attitude_bias_sigma_rad=float(lasting[i]),
+            walk_px=knowledge.walk_px or 0.0,
+            field_m=knowledge.field_m or 0.0,
         )
         for i, sighting in enumerate(sightings)
     )

@@ -169,7 +169,7 @@ class SequenceOrbitSpec(SpecModel):
 class TrackErrorsSpec(SpecModel):
     """Errors that a tracker of images makes in addition to ``noise_px``: they accumulate from frame to frame.
 
-    Estimators are told ``noise_px`` alone.
+    Estimators are told ``noise_px``, and of these errors what ``sequence.knowledge`` states.
     """
 
     walk_px: float = Field(
@@ -281,6 +281,16 @@ class SequenceKnowledgeSpec(SpecModel):
     velocity_sigma_m_s: float = deviation(0.0, "each coordinate of the velocity at the first frame", ge=0)
     noise_m_s2: float | None = Field(
         None, gt=0, description="Unmodelled acceleration that estimators assume; left out: the true one"
+    )
+    walk_px: float | None = optional(
+        "Standard deviation of a coordinate's random step from frame to frame, of each track, that estimators assume;"
+        " left out: none",
+        gt=0,
+    )
+    field_m: float | None = optional(
+        "Standard deviation of each axis of the field, as in sequence.vision.track_errors, that estimators assume; left"
+        " out: none",
+        gt=0,
     )
 
     @rule

@@ -114,3 +114,11 @@ def test_an_orbit_that_leads_into_the_body_by_known_forces_is_refused(tmp_path, 
     error = refused("run", tmp_path / "campaign.yaml", "--jobs", 1, "--no-report", "--out", tmp_path / "out")
     assert "scene.yaml: sequence.orbit: " in error
     assert "begin farther away or lower the forces" in error
+
+
+@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=.nan", "field_m=0", "field_m=much"])
+def test_impossible_knowledge_of_track_errors_is_one_line(capsys, stated):
+    assert main(["validate", "vesta-simulated-slam", "--set", f"sequence.knowledge.{stated}"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert f"sequence.knowledge.{stated.partition('=')[0]}" in said
+    assert len(said.splitlines()) == 1

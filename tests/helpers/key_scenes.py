@@ -156,7 +156,7 @@ sequence:
   vision:
     {landmarks_per_frame: 30, field: fixed, recognised: 0.6,
      track_errors: {walk_px: 0.3, field_m: 0.5, student_t: 5}}
-  knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7}
+  knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7, walk_px: 0.3, field_m: 0.5}
 """,
     "sequence": SEQUENCE,
     "free": SEQUENCE.replace("orbit: {step_deg: 6, revolutions: 0.2}", "trajectory: {table: states.csv}").replace(

@@ -261,6 +261,14 @@ def test_errors_that_accumulate_along_a_track_are_not_known():
     assert "pixel noise (0.6667 px are told, and nothing of errors that accumulate)" in known.line()
 
 
+@pytest.mark.parametrize("errors", ["{}", "{vision: {track_errors: {walk_px: 0.4}}}"])
+def test_what_is_stated_of_errors_that_accumulate_is_listed(errors: str):
+    stated = "sequence.knowledge={walk_px: 0.4, field_m: 3}"
+    known = known_on_board(load_scenario("apophis-sphere-sequence", [f"sequence={errors}", stated]).spec)
+    told = "0.6667 px are told, and errors that accumulate by 0.4 px and 3 m a frame"
+    assert f"pixel noise ({told})" in known.line()
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

@@ -107,6 +107,26 @@ def test_a_field_is_common_to_the_landmarks_of_a_sequence_and_another_in_the_nex
     assert len(set(np.round(slopes, 9))) == 6
 
 
+def test_what_is_stated_of_them_reaches_the_frames_and_nothing_else():
+    scene = "apophis-sphere-sequence"
+    plain, told = (
+        draw_sequence(load_scenario(scene, stated).spec.sequence, CAMERA, GROUND, 11, 0)[1].frames
+        for stated in ((), ("sequence.knowledge={walk_px: 0.3, field_m: 2}",))
+    )
+    assert {(frame.walk_px, frame.field_m) for frame in plain} == {(0.0, 0.0)}
+    assert {(frame.walk_px, frame.field_m) for frame in told} == {(0.3, 2.0)}
+    for one, other in zip(plain, told, strict=True):
+        np.testing.assert_array_equal(one.uv_px, other.uv_px)
+        assert one.sigma_px == other.sigma_px
+    assert "walk_px" not in canonical_json(load_scenario(scene).spec)
+
+
+@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=0", "field_m=.nan", "field_m=.inf", "field_m=fast"])
+def test_impossible_knowledge_of_them_is_refused(stated):
+    with pytest.raises(BoresightError, match=rf"sequence\.knowledge\.{stated.partition('=')[0]}"):
+        load_scenario("apophis-sphere-sequence", (f"sequence.knowledge.{stated}",))
+
+
 @pytest.mark.parametrize("errors", ["{student_t: 2}", "{walk_px: -1}", "{field_m: .nan}", "{walk: 1}"])
 def test_impossible_errors_are_refused(errors):
     with pytest.raises(BoresightError, match=r"sequence\.vision\.track_errors"):
