@@ -30,7 +30,7 @@ def state() -> FilterState:
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
     joined = start.augmented(np.array([4, 7, 9]), elements, noise)
-    return joined.predicted(frame_at(_second(), first))
+    return joined.predicted(CAMERA, frame_at(_second(), first))
 
 
 def frame_at(position_m: np.ndarray, before_m: np.ndarray) -> TrackFrame:
@@ -171,7 +171,7 @@ def test_prediction_adds_the_whole_covariance_of_the_motion(state: FilterState) 
     first = np.array([ORBIT_M, 0.0, 0.0])
     uneven = np.diag([1.0, 4.0, 9.0]) + 0.5
     frame = replace(frame_at(first, _second()), motion_covariance_m2=uneven)
-    moved = state.predicted(frame)
+    moved = state.predicted(CAMERA, frame)
     np.testing.assert_allclose(state.covariance[:3, :3], 4.01 * np.eye(3))
     np.testing.assert_allclose(moved.covariance[:3, :3], 4.01 * np.eye(3) + uneven)
     np.testing.assert_array_equal(moved.covariance[3:], state.covariance[3:])

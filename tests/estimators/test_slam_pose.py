@@ -53,7 +53,7 @@ def state() -> PoseState:
     start = PoseState.at_first(on_orbit(0), 0.01 * np.eye(3), frame_at(0, **sigmas), TURN_NOISE_RAD)
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
-    moved = start.augmented(np.array([4, 7, 9]), elements, noise).predicted(frame_at(1, **sigmas))
+    moved = start.augmented(np.array([4, 7, 9]), elements, noise).predicted(CAMERA, frame_at(1, **sigmas))
     x = moved.x.copy()
     x[6:9] = 0.05, -0.1, 0.2
     x[15:].reshape(3, 9)[:, 6:] = rng.normal(0.0, 0.1, (3, 3))
@@ -211,7 +211,7 @@ def test_star_tracker_without_landmarks_is_consistent() -> None:
             if state is None:
                 state = PoseState.at_first(on_orbit(0), np.eye(3), frame, TURN_NOISE_RAD)
             else:
-                state = state.predicted(frame)
+                state = state.predicted(CAMERA, frame)
         turn = true * Rotation.from_matrix(state.attitude).inv()
         error = np.concatenate([turn.as_rotvec(), rate - state.x[9:12], wrong - state.x[12:15]])
         covariance = state.covariance[6:15, 6:15]
@@ -225,7 +225,7 @@ def test_rate_and_velocity_are_those_of_the_orbit() -> None:
     """In inertial space, above a rotating body: closed form for a circle with the camera pointed at its centre."""
     state = PoseState.at_first(on_orbit(0), np.zeros((3, 3)), frame_at(0), TURN_NOISE_RAD)
     for number in range(1, 9):
-        state = state.predicted(frame_at(number))
+        state = state.predicted(CAMERA, frame_at(number))
     rate = look_down(on_orbit(8)) @ [0.0, 0.0, STEP_RAD / SECONDS]
     np.testing.assert_allclose(state.x[9:12], rate, atol=1e-3 * STEP_RAD / SECONDS)
     np.testing.assert_allclose(state.velocity_m_s, (on_orbit(8) - on_orbit(7)) / SECONDS, atol=1e-12)

@@ -39,7 +39,9 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
 
     Use it when
     -----------
-    The method of the paper is wanted. Otherwise use ``consistent-ekf-slam`` or ``fixed-lag``.
+    The method of the paper is wanted. Otherwise use ``consistent-ekf-slam`` or ``fixed-lag``. Errors that add up along
+    tracks are not of the paper, and are modelled if they are stated (``walk_px`` and ``field_m`` of
+    ``sequence.knowledge``).
 
     It fails when
     -------------
@@ -112,12 +114,15 @@ class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
     Use it when
     -----------
     A filter is wanted whose covariance describes its errors. With ``camera: pose`` it also models a misaligned camera.
+    Errors that add up along tracks are modelled if they are stated (``walk_px`` and ``field_m`` of
+    ``sequence.knowledge``).
 
     It fails when
     -------------
     As ``ekf-slam``. With attitude noise its covariance is too small unless ``camera: pose`` is set: in
     ``apophis-attitude`` the mean NEES with 0.03 deg of noise is 4.2 times what is expected, and 0.78 times with it (12
-    runs).
+    runs). Where the scale is known to no better than ``settled_sigma``, derivatives are fixed at a wrong scale: lower
+    it.
 
     Cost
     ----
@@ -170,7 +175,7 @@ class _Filter:
         if before is not None:
             # (1) State prediction and covariance propagation; lost landmarks, part of (3), are dropped before the
             # update, which has no measurement of them.
-            state = self._without_lost(before.predicted(frame), frame)
+            state = self._without_lost(before.predicted(self.camera, frame), frame)
             # (2) State and covariance update.
             state = self._updated(state, frame)
         elif self.options.camera == "position":
@@ -189,7 +194,7 @@ class _Filter:
         """Predict the pixels of the state's landmarks in the next frame, with their covariance."""
         if self.state is None or not len(self.state.tracks):
             return None
-        state = self.state.predicted(frame)
+        state = self.state.predicted(self.camera, frame)
         order = np.argsort(state.tracks)
         # With pixels of zero the residual is minus the prediction. The state is sorted by track because a `Prediction`
         # is.

@@ -108,7 +108,8 @@ class PoseState(FilterState):
         x = np.concatenate([position_m, np.zeros(cls.CAMERA - 3)])
         tracks, anchors, settled = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros((0, 4))
         errors = turn_noise_rad, frame.attitude_bias_sigma_rad
-        return cls(x, covariance, tracks, anchors, settled, frame, frame.R_cam_body, *errors)
+        field = np.zeros((cls.CAMERA, 3)) if frame.field_m else None
+        return cls(x, covariance, tracks, anchors, settled, frame, field, frame.R_cam_body, *errors)
 
     @property
     def velocity_m_s(self) -> FloatArray:
@@ -173,13 +174,13 @@ class PoseState(FilterState):
         covariance += grown * (1.0 - share) * lever @ lever.T
         return turn @ position, covariance, np.asarray(points @ turn.T, dtype=np.float64)
 
-    def predicted(self, frame: TrackFrame) -> PoseState:
+    def predicted(self, camera: Camera, frame: TrackFrame) -> FilterState:
         """Propagate by a frame's displacement and by the angular rate, then update with the star tracker's attitude.
 
         The velocity is the displacement since the previous frame divided by the time, in inertial axes. The rate
         changes by an angular acceleration that is constant between two frames and independent between intervals.
         """
-        moved = self.propagated(frame)
+        moved = self.propagated(frame).with_moved_landmarks(camera)
         # The star tracker measures exp(lasting + noise) R_cam_body. Innovation as a rotation vector: log(measured R,
         # less the lasting error, times predicted R').
         found = rotation_of(-moved.x[_LASTING]) @ frame.R_cam_body @ moved.attitude.T
@@ -203,11 +204,15 @@ class PoseState(FilterState):
         covariance[C] = F @ covariance[C]
         covariance[:, C] = covariance[:, C] @ F.T
         covariance[C, C] += noise
+        field = self.field_covariance
+        if field is not None:
+            field = np.concatenate([F @ field[C], field[self.CAMERA :]])
         # dR/dt = -[rate] R for R_cam_inertial, with the rate in camera axes.
         turned = rotation_of(-self.x[_RATE] * dt) @ self.R_camera
         # R_cam_body(new) = dR R_cam_body(old) R_body_inertial(old) R_inertial_body(new).
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
-        return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
+        R_camera = turned @ about
+        return replace(self, x=x, covariance=covariance, field_covariance=field, frame=frame, R_camera=R_camera)
 
     def with_errors_reset(self) -> Self:
         """Apply the estimated attitude errors to the attitudes and reset them to zero."""
@@ -223,7 +228,12 @@ class PoseState(FilterState):
         covariance[rows] = J @ covariance[rows]
         # The columns, by a view of the transpose; the blocks on the diagonal get J on both sides.
         covariance.T[rows] = J @ covariance.T[rows]
-        return replace(self, x=x, covariance=covariance, R_camera=rotations[0], R_cam_body=rotations[1:])
+        field = self.field_covariance
+        if field is not None:
+            field = field.copy()
+            field[rows] = J @ field[rows]
+        reset = replace(self, x=x, covariance=covariance, field_covariance=field)
+        return replace(reset, R_camera=rotations[0], R_cam_body=rotations[1:])
 
     def _transition(self, frame: TrackFrame) -> tuple[FloatArray, FloatArray]:
         """(15, 15) transition matrix of the camera's errors from the previous frame, and process noise covariance."""

@@ -65,6 +65,12 @@ class FilterState:
     those of the landmarks, in the order of the state, ``R_cam_body`` (n, 3, 3) the attitudes of their anchors.
     ``settled`` (n, 4) has the fixed inverse distance and anchor for the derivatives by a landmark (first-estimates
     Jacobians); NaN if they are taken at the present estimate.
+
+    A landmark is the point that its track follows, which moves from frame to frame where errors of the track add up
+    (`TrackFrame`): at random by ``walk_px``, and by a field common to all landmarks. The field is a considered
+    parameter (Schmidt-Kalman filter): its uncertainty is part of ``covariance`` and of all gains, and it is not
+    estimated. ``field_covariance`` (C + L n, 3) is the covariance of the state's error with it; None: no field is
+    declared.
     """
 
     x: FloatArray
@@ -73,6 +79,7 @@ class FilterState:
     R_cam_body: FloatArray
     settled: FloatArray
     frame: TrackFrame
+    field_covariance: FloatArray | None
 
     CAMERA: ClassVar[int] = 3
     LANDMARK: ClassVar[int] = SIZE
@@ -82,8 +89,9 @@ class FilterState:
     @classmethod
     def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame) -> FilterState:
         """Return a state without landmarks."""
-        none = np.zeros(0, dtype=np.int64)
-        return FilterState(position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4)), frame)
+        none, field = np.zeros(0, dtype=np.int64), np.zeros((3, 3)) if frame.field_m else None
+        state = position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4))
+        return FilterState(*state, frame, field)
 
     @property
     def position_m(self) -> FloatArray:
@@ -146,13 +154,40 @@ class FilterState:
         """Return the position (3,), its covariance and the points (n, 3) in the axes of the body's known rotation."""
         return self.position_m.copy(), self.covariance[:3, :3].copy(), self.points(camera)
 
-    def predicted(self, frame: TrackFrame) -> Self:
-        """Propagate the camera to the next frame by its predicted motion; landmarks are fixed."""
+    def predicted(self, camera: Camera, frame: TrackFrame) -> FilterState:
+        """Propagate the camera to the next frame by its predicted motion, and landmarks by the errors of tracks."""
         x, covariance = self.x.copy(), self.covariance.copy()
         # The transition matrix is the identity: the cross-covariances with the landmarks do not change.
         x[:3] += frame.motion_m
         covariance[:3, :3] += frame.motion_covariance_m2
-        return replace(self, x=x, covariance=covariance, frame=frame)
+        return replace(self, x=x, covariance=covariance, frame=frame).with_moved_landmarks(camera)
+
+    def with_moved_landmarks(self, camera: Camera) -> Self:
+        """Add the errors of the tracks since the previous frame to the covariance of the landmarks."""
+        frame, covariance, field = self.frame, self.covariance, self.field_covariance
+        if frame.walk_px:
+            covariance = covariance.copy()
+            first = self.CAMERA + self.LANDMARK * np.arange(len(self.tracks))
+            for row in (first, first + 1):
+                # The pixel of the anchor for that of this frame: they differ by the change of view alone.
+                covariance[row, row] += frame.walk_px**2
+        if field is not None and len(self.tracks):
+            moved = np.zeros_like(field)
+            moved[self.CAMERA :].reshape(-1, self.LANDMARK, 3)[:, :3] = self._moved_by_field(camera)
+            cross = field @ moved.T
+            # P' = F P F' of landmark and field, with F = [[I, G], [0, I]]; that of the field stays sigma^2 I.
+            covariance = covariance + cross + cross.T + frame.field_m**2 * moved @ moved.T
+            field = field + frame.field_m**2 * moved
+        return replace(self, covariance=covariance, field_covariance=field)
+
+    def _moved_by_field(self, camera: Camera) -> FloatArray:
+        """(n, 3, 3) derivatives of pixel and inverse distance of the landmarks by the field."""
+        normals = self.points(camera)
+        # The surface is unknown: its normals are taken as those of a sphere about the body's centre.
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        displaced = normals[:, :, None] * (normals @ self.attitude.T)[:, None, :]
+        by_element = landmark_jacobians(camera, self.linearisation_landmarks, self.anchor_attitudes)[:, :, :3]
+        return np.asarray(np.linalg.solve(by_element, displaced), dtype=np.float64)
 
     def with_errors_reset(self) -> Self:
         """Apply the estimated errors in ``x`` to reference values outside of it, if there are any, and reset them."""
@@ -166,6 +201,7 @@ class FilterState:
             self,
             x=self.x[rows],
             covariance=self.covariance[np.ix_(rows, rows)],
+            field_covariance=None if self.field_covariance is None else self.field_covariance[rows],
             tracks=self.tracks[~lost],
             R_cam_body=self.R_cam_body[~lost],
             settled=self.settled[~lost],
@@ -195,6 +231,7 @@ class FilterState:
         cross = by_camera @ self.covariance
         own = cross @ by_camera.T  # eq. (10)
         own += np.diag(np.concatenate([noise, np.zeros((new, anchor))], axis=1).ravel())  # eq. (11)
+        field = self.field_covariance
         return replace(
             self,
             x=np.concatenate([self.x, anchored.ravel()]),
@@ -202,4 +239,5 @@ class FilterState:
             tracks=np.concatenate([self.tracks, tracks]),
             R_cam_body=np.concatenate([self.R_cam_body, np.broadcast_to(self.attitude, (new, 3, 3))]),
             settled=np.concatenate([self.settled, np.full((new, 4), np.nan)]),
+            field_covariance=None if field is None else np.concatenate([field, by_camera @ field]),
         )

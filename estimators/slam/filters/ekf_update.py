@@ -153,7 +153,7 @@ def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, fl
     # K r = P H' S^-1 r = W' L^-1 r, and r' S^-1 r = |L^-1 r|^2.
     white = solve_triangular(factor, innovation.residual, lower=True, check_finite=False)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    moved = replace(state, x=state.x + weighted.T @ white, covariance=state.covariance - weighted.T @ weighted)
+    moved = replace(_conditioned(state, innovation, factor, weighted), x=state.x + weighted.T @ white)
     return moved.with_errors_reset(), float(white @ white)
 
 
@@ -200,9 +200,20 @@ def iterated_update(
         if before - cost < tolerance:
             break
     # The covariance is that of x0 updated once, with the derivatives at the minimum.
-    factor, crossed = _factorise(covariance, measured.innovation(state))
+    innovation = measured.innovation(state)
+    factor, crossed = _factorise(covariance, innovation)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    return replace(state, covariance=covariance - weighted.T @ weighted).with_errors_reset(), cost
+    return _conditioned(state, innovation, factor, weighted).with_errors_reset(), cost
+
+
+def _conditioned(state: AnyState, innovation: Innovation, factor: FloatArray, weighted: FloatArray) -> AnyState:
+    """Return a state with its covariances after an update, given L and W = L^-1 H P."""
+    field = state.field_covariance
+    if field is not None:
+        # (I - K H) P_xf = P_xf - W' L^-1 H P_xf: with the gain of the field set to zero, P_xx is as it is with that of
+        # the optimal gain, and the variance of the field stays as it was.
+        field = field - weighted.T @ solve_triangular(factor, innovation.jacobian @ field, lower=True)
+    return replace(state, covariance=state.covariance - weighted.T @ weighted, field_covariance=field)
 
 
 def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:
