@@ -118,7 +118,9 @@ def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytes
         ):
             judged["at once"] += 1
             seen = predict_lines(self.slam_map, matches, before)
-            fit = gate_frame(self.slam_map.camera, self.raw_frames[view], seen, self.false_alarm, self.limit)
+            frame = self.raw_frames[view]
+            noise_px2 = np.full(len(seen.rows), frame.sigma_px**2)
+            fit = gate_frame(self.slam_map.camera, frame, seen, noise_px2, self.false_alarm, self.limit)
             otherwise = set(self.raw_frames[view].tracks[seen.rows[~fit]].tolist())
             judged["wrong"] += len(otherwise & wrong[view])
             judged["right"] += len(otherwise - wrong[view])

@@ -129,6 +129,10 @@ def lines_to(points_m: np.ndarray, covariance_m2: np.ndarray, known: np.ndarray,
     return PredictedLines(np.arange(n), points_m, by_camera, covariance_m2, own, known)
 
 
+def gated(frame: TrackFrame, seen: PredictedLines) -> np.ndarray:
+    return gate_frame(CAMERA, frame, seen, np.full(len(seen.rows), frame.sigma_px**2), FALSE_ALARM, LIMIT)
+
+
 @pytest.mark.parametrize(("share", "passes"), AROUND)
 def test_guessed_distance_widens_the_gate_by_the_product_of_both_errors(share: float, passes: bool) -> None:
     """A pixel f dt / (d (1 + e)) with e of 0.3: variance (1 + 0.3^2) (f sigma / d)^2, and that of its noise."""
@@ -136,7 +140,7 @@ def test_guessed_distance_widens_the_gate_by_the_product_of_both_errors(share: f
     variance_px2 = 1.09 * (CAMERA.fx_px * sigma_m / 400.0) ** 2 + 0.5**2
     frame = frame_of(point, np.array([0.0, np.sqrt(share * LIMIT * variance_px2) * 400.0 / CAMERA.fx_px, 0.0]))
     seen = lines_to(point, sigma_m**2 * np.eye(3), np.zeros(1, dtype=bool), 0.0)
-    assert gate_frame(CAMERA, frame, seen, FALSE_ALARM, LIMIT)[0] == passes
+    assert gated(frame, seen)[0] == passes
 
 
 def test_mapped_landmarks_correct_the_camera_before_the_others_are_gated() -> None:
@@ -146,7 +150,7 @@ def test_mapped_landmarks_correct_the_camera_before_the_others_are_gated() -> No
     frame = frame_of(points, camera_m)
     frame.uv_px[7] = CAMERA.project(points[7:])[0]  # as if the prediction were right
     seen = lines_to(points, 15.0**2 * np.eye(3), np.arange(8) < 6, 1e-4)
-    np.testing.assert_array_equal(gate_frame(CAMERA, frame, seen, FALSE_ALARM, LIMIT), np.arange(8) < 7)
+    np.testing.assert_array_equal(gated(frame, seen), np.arange(8) < 7)
 
 
 @pytest.mark.parametrize(("share", "passes"), AROUND)
@@ -156,7 +160,7 @@ def test_limit_of_a_guessed_distance_is_that_of_its_pixel_alone(share: float, pa
     frame = frame_of(points, np.zeros(3))
     frame.uv_px[4] += 0.5 * np.sqrt(share * LIMIT) * np.array([0.8, -0.6])
     seen = lines_to(points, 1e-12 * np.eye(3), np.arange(5) < 4, 1e-12)
-    np.testing.assert_array_equal(gate_frame(CAMERA, frame, seen, FALSE_ALARM, LIMIT), [True] * 4 + [passes])
+    np.testing.assert_array_equal(gated(frame, seen), [True] * 4 + [passes])
 
 
 def adjusted_window(points_m: np.ndarray) -> tuple[OutlierGate, AdjustedWindow]:

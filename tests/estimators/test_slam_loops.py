@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
-from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
+from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, Truth, look_down, with_track_errors
 
 from boresight.estimators.slam.adjustment.problem import Distances, PixelMeasurements, State
 from boresight.estimators.slam.adjustment.solver import (
@@ -242,6 +242,30 @@ def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -
         assert united > 5 * trials
         assert np.median(errors) < 0.5 * np.median(open_errors)
         assert low < square < high
+
+
+def test_closed_loops_are_consistent_with_errors_that_add_up_along_tracks() -> None:
+    """Each track of a landmark has a walk of its own; bounds as above."""
+    trials, told, untold, errors, opened = 4, 0.0, 0.0, [], []
+    low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 3 * trials)
+    for trial in range(trials):
+        sequence, positions, points = loop(10 + trial)
+        rng = np.random.default_rng(trial)
+        given = with_track_errors(rng, sequence, Truth(positions, dict(enumerate(points))), 0.5, 0.1)
+        silent = replace(given, frames=tuple(replace(f, walk_px=0.0, field_m=0.0) for f in given.frames))
+        squares = []
+        for one in (given, silent):
+            estimate = LoopSmoother.from_options({"closure_frames": 10}).follow(one)
+            assert estimate.diagnostics["united"] > 5
+            last = estimate.frames[-1]
+            error = last.position_m - positions[-1]
+            squares.append(error @ np.linalg.solve(last.covariance_m2, error))
+            errors += [np.linalg.norm(error)] if one is given else []
+        told, untold = told + squares[0], untold + squares[1]
+        last = FixedLagSmoother.from_options({}).follow(given).frames[-1]
+        opened.append(np.linalg.norm(last.position_m - positions[-1]))
+    assert low < told < high < untold
+    assert np.median(errors) < 0.5 * np.median(opened)
 
 
 def test_without_recognitions_it_is_the_fixed_lag_smoother() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -131,3 +131,27 @@ def _visible(point: FloatArray, position: FloatArray) -> bool:
 def _on_sphere(rng: np.random.Generator, count: int) -> FloatArray:
     points = rng.standard_normal((count, 3))
     return RADIUS_M * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def with_track_errors(
+    rng: np.random.Generator, sequence: TrackSequence, truth: Truth, walk_px: float, field_m: float
+) -> TrackSequence:
+    """Add a walk to the tracks of a sequence above a sphere, and a field; the frames declare both."""
+    field, frames = field_m * rng.standard_normal(3), []
+    walk: dict[int, FloatArray] = {}
+    moved: dict[int, FloatArray] = {}
+    for position, frame in zip(truth.positions_m, sequence.frames, strict=True):
+        uv = frame.uv_px.copy()
+        for row, track in enumerate(frame.tracks.tolist()):
+            point = truth.points_m[track]
+            normal = point / np.linalg.norm(point)
+            if track in walk:
+                walk[track] = walk[track] + walk_px * rng.standard_normal(2)
+                moved[track] = moved[track] + (frame.R_cam_body @ normal @ field) * normal
+            else:
+                walk[track], moved[track] = np.zeros(2), np.zeros(3)
+            lines = np.stack([point + moved[track], point]) - position
+            seen, true = CAMERA.project(lines @ frame.R_cam_body.T)
+            uv[row] += walk[track] + seen - true
+        frames.append(replace(frame, uv_px=uv, walk_px=walk_px, field_m=field_m))
+    return replace(sequence, frames=tuple(frames))

@@ -25,17 +25,49 @@ class State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AddedErrors:
+    """Errors of pixels that add up along a track: a random walk, and a field common to all landmarks.
+
+    Pixels of a landmark with the same ``branch`` (k,) share a walk, whose variance at each is ``walk_px2`` (k,); two of
+    them have the smaller one as covariance. The point seen is the landmark plus ``moved`` (k, 3, 3) times the field,
+    which is the last view of the problem: its position is the field, m. ``moved`` (0, 3, 3): there is no field.
+    """
+
+    branch: IndexArray
+    walk_px2: FloatArray
+    moved: FloatArray
+
+    def subset(self, rows: BoolArray | IndexArray) -> AddedErrors:
+        """Return those of the pixels in ``rows``, marked (k,) or in an order."""
+        return AddedErrors(self.branch[rows], self.walk_px2[rows], self.moved[rows] if len(self.moved) else self.moved)
+
+
+_NO_ERRORS = AddedErrors(_none(), np.zeros(0), np.zeros((0, 3, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PixelMeasurements:
-    """Pixels of landmarks in views: (k,) view, (k,) point, (k, 2) pixel, (k,) sigma of a coordinate, px."""
+    """Pixels of landmarks in views: (k,) view, (k,) point, (k, 2) pixel, (k,) sigma of a coordinate, px.
+
+    ``added`` are the errors that add up along a track, and the pixels are then sorted by landmark and view; None: the
+    errors of all pixels are independent.
+    """
 
     view: IndexArray
     point: IndexArray
     uv_px: FloatArray
     sigma_px: FloatArray
+    added: AddedErrors | None = None
 
-    def subset(self, rows: BoolArray) -> PixelMeasurements:
-        """Return those marked in ``rows`` (k,)."""
-        return PixelMeasurements(self.view[rows], self.point[rows], self.uv_px[rows], self.sigma_px[rows])
+    def subset(self, rows: BoolArray | IndexArray) -> PixelMeasurements:
+        """Return those in ``rows``, marked (k,) or in an order."""
+        added = None if self.added is None else self.added.subset(rows)
+        return PixelMeasurements(self.view[rows], self.point[rows], self.uv_px[rows], self.sigma_px[rows], added)
+
+    @property
+    def whole_sigma_px(self) -> FloatArray:
+        """(k,) standard deviation of a coordinate with what has added up, px."""
+        return self.sigma_px if self.added is None else np.sqrt(self.sigma_px**2 + self.added.walk_px2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +122,7 @@ class QuadraticPrior:
 
 
 _NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
-_NO_PRIOR = QuadraticPrior(_none(), _none(), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
+NO_PRIOR = QuadraticPrior(_none(), _none(), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +152,10 @@ class Adjustment:
     def flat(self) -> FlatProblem:
         """The problem as the arrays of the kernels; raises ValueError as `pinhole_of` does."""
         seen, ranged, moved = self.pixels, self.distances, self.motions
-        prior = _NO_PRIOR if self.prior is None else self.prior
+        prior = NO_PRIOR if self.prior is None else self.prior
         frozen = _NO_STATE if self.frozen is None else self.frozen
         kept = np.zeros(len(self.free_points), dtype=np.bool_) if self.kept_points is None else self.kept_points
+        added = seen.added or _NO_ERRORS
         return FlatProblem(
             pinhole=pinhole_of(self.camera),
             attitudes=floats(self.R_cam_body),
@@ -148,6 +181,9 @@ class Adjustment:
             free_views=plain(self.free_views, BOOL),
             free_points=plain(self.free_points, BOOL),
             kept_points=plain(kept, BOOL),
+            seen_branch=plain(added.branch, INDEX),
+            seen_walk_px2=floats(added.walk_px2),
+            seen_moved=floats(added.moved),
         )
 
     @property

@@ -12,6 +12,7 @@ from boresight.estimators.slam.adjustment.compiled import tracks as kernels
 from boresight.estimators.slam.adjustment.compiled.problem import floats
 from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, Motions, PixelMeasurements, State
 from boresight.estimators.slam.adjustment.solver import AdjustmentSolution, StoppingRule, minimise, place_view
+from boresight.estimators.slam.adjustment.track_errors import TrackErrors
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
@@ -36,8 +37,8 @@ class _FrameIndex:
 class SlamMap:
     """Frames by number, a camera position for each, and a point for each landmark by its track (m, body frame).
 
-    Tracks in ``guessed`` have points at a guessed distance. With ``gated``, pixels may be refused, so that a frame may
-    be left without a mapped landmark for a while.
+    ``errors`` are those that add up along tracks. Tracks in ``guessed`` have points at a guessed distance. With
+    ``gated``, pixels may be refused, so that a frame may be left without a mapped landmark for a while.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -45,6 +46,7 @@ class SlamMap:
         self.frames: dict[int, TrackFrame] = {}
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
+        self.errors = TrackErrors()
         self.guessed: set[int] = set()
         self.gated = False
         self.last_depth_m: float | None = None
@@ -62,6 +64,11 @@ class SlamMap:
             np.concatenate([frame.uv_px for frame in frames]),
         )
         return PixelMeasurements(view, point, uv_px, sigma_px)
+
+    def noise_px2(self, view: int, rows: Sequence[int] | IndexArray) -> FloatArray:
+        """(n,) variance of a coordinate of some rows of a frame, px^2, with what has added up along their tracks."""
+        frame = self.frames[view]
+        return frame.sigma_px**2 + self.errors.walk_px2(view, frame.tracks[rows].tolist())
 
     def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
         """Collect the distances that were measured from ``views`` to ``tracks`` (sorted)."""

@@ -20,6 +20,7 @@ from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import TrackFrame
 
 _NO_ROWS, _NO_VALUES, _NO_VECTORS, _NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0))
+_NO_FIELD = np.zeros((0, 3, 3))
 _VIEW_0, _VIEW_1 = np.array([0]), np.array([1])
 
 RANK_TOLERANCE = 1e-11
@@ -89,6 +90,7 @@ def place_view(
         np.array([False, True]),
         np.zeros(count, np.bool_),
         np.zeros(count, np.bool_),
+        _NO_ROWS, _NO_VALUES, _NO_FIELD,  # errors that add up
     )[0]  # fmt: skip
     position: FloatArray = placed[1].copy()
     return position
@@ -210,6 +212,9 @@ def removed(problem: FlatProblem, stays: Retained) -> FlatProblem:
         seen_point=seen_point,
         seen_px=problem.seen_px[seen],
         seen_sigma_px=problem.seen_sigma_px[seen],
+        seen_branch=problem.seen_branch[seen] if len(problem.seen_branch) else problem.seen_branch,
+        seen_walk_px2=problem.seen_walk_px2[seen] if len(problem.seen_walk_px2) else problem.seen_walk_px2,
+        seen_moved=problem.seen_moved[seen] if len(problem.seen_moved) else problem.seen_moved,
         ranged_view=problem.ranged_view[ranged],
         ranged_point=ranged_point,
         range_m=problem.range_m[ranged],

@@ -130,22 +130,29 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 
 
 def pixel_squares(
-    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
+    camera: Camera,
+    frame: TrackFrame,
+    rows: IndexArray,
+    lines_m: FloatArray,
+    own_m2: FloatArray,
+    noise_px2: FloatArray,
 ) -> FloatArray:
     """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
 
     ``lines_m`` (n, 3) are landmark minus camera position, body frame, m, and ``own_m2`` (n, 3, 3) the covariances of
-    their errors. The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind
-    the camera.
+    their errors. The noise of the pixels, of variance ``noise_px2`` (n,), is added to the covariance of the prediction.
+    NaN where a landmark is behind the camera.
     """
     residual, by_line = _linearised_pixels(camera, frame, rows, lines_m)
-    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
+    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + noise_px2[:, None, None] * np.eye(2)
     squares = mahalanobis_squares(residual, spread)
     return np.where(lines_m @ frame.R_cam_body[2] > 0.0, squares, np.nan)
 
 
-def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
-    """(n,) which pixels of a new frame pass the gate.
+def gate_frame(
+    camera: Camera, frame: TrackFrame, seen: PredictedLines, noise_px2: FloatArray, false_alarm: float, limit: float
+) -> BoolArray:
+    """(n,) which pixels of a new frame, of variances ``noise_px2`` (n,), pass the gate.
 
     The mapped landmarks are gated first, by one-point RANSAC, and update the camera position. Landmarks at a guessed
     distance are then gated one by one from there: their prediction before the update is uncertain and nonlinear. With
@@ -162,7 +169,7 @@ def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_al
     # S = H P H' + the block-diagonal covariance of the independent errors.
     H = by_line[first] @ seen.by_shared[first]
     rows = H.reshape(-1, H.shape[2])
-    own = _individual_covariance(frame, seen.subset(first), by_line[first], seen.covariance)
+    own = _individual_covariance(noise_px2[first], seen.subset(first), by_line[first], seen.covariance)
     spread = rows @ seen.covariance @ rows.T + block_diagonal(own)
     fit = np.zeros(len(sound), dtype=np.bool_)
     fit[first] = gate_pixels(residual[first], spread, "one-point", false_alarm)
@@ -176,7 +183,8 @@ def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_al
         single = seen.subset(others)
         # Derivatives anew, at the shifted lines of sight.
         residual, by_line = _linearised_pixels(camera, frame, single.rows, single.lines_m + single.by_shared @ shift)
-        alone = _own_blocks(by_line @ single.by_shared, left) + _individual_covariance(frame, single, by_line, left)
+        own = _individual_covariance(noise_px2[others], single, by_line, left)
+        alone = _own_blocks(by_line @ single.by_shared, left) + own
         fit[others] = mahalanobis_squares(residual, alone) <= limit
     return fit
 
@@ -202,7 +210,7 @@ def _linearised_pixels(
 
 
 def _individual_covariance(
-    frame: TrackFrame, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
+    noise_px2: FloatArray, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
 ) -> FloatArray:
     """(n, 2, 2) covariance of the independent error of each pixel.
 
@@ -215,4 +223,4 @@ def _individual_covariance(
     own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_shared[guessed], covariance)
     # From lines of sight (m^2) to pixels (px^2).
     own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
-    return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
+    return np.asarray(own + noise_px2[:, None, None] * np.eye(2), dtype=np.float64)

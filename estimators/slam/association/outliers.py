@@ -62,7 +62,8 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
     points = matches.points[rows]
     lines_m = state.points_m[points] - slam_map.positions_m[matches.view]
     # Without the landmarks' covariances the test is too strict, never too lenient: what passes here passes with them.
-    squares = pixel_squares(slam_map.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
+    noise_px2 = slam_map.noise_px2(matches.view, rows)
+    squares = pixel_squares(slam_map.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)), noise_px2)
     # NaN, a landmark behind the camera, counts as odd.
     odd = np.flatnonzero(~(squares <= limit))
     if len(odd):
@@ -70,13 +71,15 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
         if 2 * len(odd) > len(rows) or np.isin(points[odd], problem.prior_points).any():
             return False
         own = np.asarray(np.linalg.inv(line_information(problem, state, points[odd]).sum(axis=1)), dtype=np.float64)
-        if not (pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
+        squares = pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own, noise_px2[odd])
+        if not (squares <= limit).all():
             return False
     once, single_pixels = matches.once
     if not len(once):
         return True
     guessed, own = guessed_points(slam_map, single_pixels, matches.depth_m)
-    squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own)
+    noise_px2 = slam_map.noise_px2(matches.view, once)
+    squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own, noise_px2)
     return bool((squares <= limit).all())
 
 
@@ -84,8 +87,10 @@ def residual_squares(problem: Adjustment, state: State) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     seen = problem.pixels
     lines = state.points_m[seen.point] - state.positions_m[seen.view]
+    if seen.added is not None and len(seen.added.moved):
+        lines = lines + seen.added.moved @ state.positions_m[-1]
     predicted_px = problem.camera.project(np.einsum("kij,kj->ki", problem.R_cam_body[seen.view], lines))
-    return np.asarray((((predicted_px - seen.uv_px) / seen.sigma_px[:, None]) ** 2).sum(axis=1), dtype=np.float64)
+    return np.asarray((((predicted_px - seen.uv_px) / seen.whole_sigma_px[:, None]) ** 2).sum(axis=1), dtype=np.float64)
 
 
 class OutlierGate:
@@ -170,7 +175,8 @@ class OutlierGate:
                 return
         try:
             seen = predict_lines(self.slam_map, matches, before)
-            fit = gate_frame(self.slam_map.camera, frame, seen, self.false_alarm, self.limit)
+            noise_px2 = self.slam_map.noise_px2(view, seen.rows)
+            fit = gate_frame(self.slam_map.camera, frame, seen, noise_px2, self.false_alarm, self.limit)
         except np.linalg.LinAlgError:
             return
         # A majority that fails shows a wrong prediction (a wrong motion, say) rather than as many wrong pixels.
@@ -213,7 +219,7 @@ class OutlierGate:
     def _reject_implausible_depths(self, adjusted: AdjustedWindow) -> bool:
         """Refuse the newest pixel of landmarks at an implausible distance: two wrong pixels may have zero residuals."""
         seen, state = adjusted.problem.pixels, adjusted.state
-        distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
+        distances = np.sqrt(((state.points_m - state.positions_m[len(adjusted.views) - 1]) ** 2).sum(axis=1))
         # Two bearings with an error along the epipolar line still meet in a point: only its distance shows the error.
         middle = float(np.sort(distances)[len(distances) // 2])
         odd = np.flatnonzero((distances < middle / _DEPTH_RATIO) | (distances > middle * _DEPTH_RATIO)).tolist()
@@ -275,14 +281,15 @@ class OutlierGate:
         if not any(self.refused.values()):
             return
         points_m = dict(zip(adjusted.tracks.tolist(), adjusted.state.points_m, strict=True))
-        for view, position_m in zip(adjusted.views, adjusted.state.positions_m, strict=True):
+        for view, position_m in zip(adjusted.views, adjusted.state.positions_m, strict=False):
             frame, again = self.raw_frames[view], set()
             for track in self.refused.get(view, set()) & points_m.keys():
                 uv_px = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
                 predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] - position_m))
                 # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower
                 # limit also keeps a pixel from being refused and readmitted in turn.
-                off = (uv_px - predicted_px) / frame.sigma_px
+                walked_px = np.sqrt(self.slam_map.errors.walk_px2(view, [track])[0])
+                off = (uv_px - predicted_px) / np.hypot(frame.sigma_px, walked_px)
                 if off @ off < _READMIT_SHARE * self.limit:
                     again.add(track)
             if again:

@@ -45,7 +45,8 @@ def predict_from_window(
         except np.linalg.LinAlgError:
             return None
         rows = lookup(solved.tracks, seen)
-        known, own_view = rows >= 0, slice(3 * views[-1], 3 * views[-1] + 3)
+        newest = 3 * views[len(solved.views) - 1]
+        known, own_view = rows >= 0, slice(newest, newest + 3)
         by_joint = np.zeros((len(seen), 3, len(covariance)))
         for k in np.flatnonzero(known).tolist():
             points_m[k] = slam_map.points_m[int(seen[k])]
@@ -120,7 +121,8 @@ class SharedUncertainty:
         covariance = np.zeros((size + 3, size + 3))
         covariance[:size, :size] = before
         covariance[size:, size:] = motion_covariance_m2
-        free = {view: 3 * slot for view, slot in zip(views, view_slots.tolist(), strict=True) if slot >= 0}
+        # The field, which has the slot after those of the views, is left out: it moves a pixel little in one frame.
+        free = {view: 3 * slot for view, slot in zip(views, view_slots.tolist(), strict=False) if slot >= 0}
         return cls(covariance, free, {j: 3 * slot for j, slot in enumerate(point_slots.tolist()) if slot >= 0})
 
     def by_camera(self, view: int) -> FloatArray:
@@ -170,7 +172,7 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     # Derivatives of pixels and distances, in standard deviations, by the landmark.
     turn = problem.R_cam_body[seen.view]
     lines = np.einsum("kij,kj->ki", turn, state.points_m[seen.point] - state.positions_m[seen.view])
-    by_pixel = problem.camera.jacobian(lines) @ turn / seen.sigma_px[:, None, None]
+    by_pixel = problem.camera.jacobian(lines) @ turn / seen.whole_sigma_px[:, None, None]
     lines = state.points_m[ranged.point] - state.positions_m[ranged.view]
     by_range = (lines / (np.linalg.norm(lines, axis=1) * ranged.sigma_m)[:, None])[:, None, :]
     information = np.zeros((len(points), len(state.positions_m), 3, 3))

@@ -11,6 +11,7 @@ import numpy as np
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
 from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, view_covariance
+from boresight.estimators.slam.adjustment.track_errors import FIELD
 from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -32,7 +33,9 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     Use it when
     -----------
     The usual choice for tracks along an orbit: small errors, a covariance that describes them, and cost that does not
-    grow.
+    grow. Errors that add up along tracks are modelled if they are stated (``walk_px`` and ``field_m`` of
+    ``sequence.knowledge``): on ``vesta-simulated-tracks`` with the errors of real tracks and a range every 10 frames
+    the mean NEES is then 3.0 to 3.5 in place of 12 to 54, 3 expected (20 and 60 tracks, 24 runs of each).
 
     It fails when
     -------------
@@ -64,7 +67,8 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
 
     Use it when
     -----------
-    To see how much of an estimator's error comes from its window: no right association can give more than this.
+    To see how much of an estimator's error comes from its window: no right association can give more than this. Errors
+    that add up along tracks are modelled as in ``fixed-lag``.
 
     It fails when
     -------------
@@ -118,7 +122,7 @@ class WindowSmoother:
 
     def diagnostics(self) -> dict[str, float]:
         """Return the mean number of steps of a frame, and the largest number of variables in the prior."""
-        frames = max(len(self.slam_map.positions_m) - 1, 1)
+        frames = max(len(self.slam_map.positions_m.keys() - {FIELD}) - 1, 1)
         return {
             "iterations_per_frame": self.iterations / frames,
             "prior_variables": float(self.widest_prior),
@@ -127,7 +131,8 @@ class WindowSmoother:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Adjust with the next frame, and marginalise the oldest one if the window is full. Raises LostError."""
-        number = len(self.slam_map.positions_m)
+        number = self.next_number
+        self.slam_map.errors.add(frame)
         self.gate.add_frame(number, self.weighted(frame))
         self.views.append(number)
         if number == 0:
@@ -140,6 +145,11 @@ class WindowSmoother:
         if len(self.views) > self.options.lag and self.adjusted is not None:
             self._marginalise(self.adjusted)
         return estimate
+
+    @property
+    def next_number(self) -> int:
+        """Number of the next frame."""
+        return self.views[-1] + 1 if self.views else 0
 
     def weighted(self, frame: TrackFrame) -> TrackFrame:
         """Add the star tracker's noise to that of the pixels with ``attitude: noisy``.
@@ -160,7 +170,7 @@ class WindowSmoother:
         tracks, seen = self.slam_map.determined(self.views, self.absorbed, joined)
         self.slam_map.triangulate_new(tracks, seen)
         problem = self._problem(tracks)
-        solution = self.slam_map.adjust(problem, self.views, tracks, rule)
+        solution = self.slam_map.adjust(problem, self.slam_map.errors.views(self.views), tracks, rule)
         self.iterations += solution.iterations
         return AdjustedWindow(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
 
@@ -173,7 +183,7 @@ class WindowSmoother:
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the reduced system has not full rank") from error
         # An unobservable scale shows as a large covariance: predicted motions and rounding keep it finite.
-        position = state.positions_m[-1]
+        position = state.positions_m[len(self.views) - 1]
         check_scale(covariance, state.points_m, position, self.options.uncertainty_max)
         return FrameEstimate(position, covariance, self.adjusted.tracks, state.points_m, 0.0)
 
@@ -187,11 +197,15 @@ class WindowSmoother:
         estimate = self.slam_map.first_estimate(self.first_covariance_m2)
         if self.first_is_free:
             self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
+        self.prior = self.slam_map.errors.prior(self.prior)
+        if self.slam_map.errors.field_m:
+            self.slam_map.positions_m[FIELD] = np.zeros(3)
         return estimate
 
     def _problem(self, tracks: list[int]) -> Adjustment:
         """Return the adjustment of the window's views and of ``tracks``."""
-        prior, frozen, views = self.prior, None, self.views
+        errors = self.slam_map.errors
+        prior, frozen, views = self.prior, None, errors.views(self.views)
         if prior is not None:
             prior = replace(prior, views=lookup(views, prior.views), points=lookup(tracks, prior.points))
         if self.options.first_estimates:
@@ -202,13 +216,14 @@ class WindowSmoother:
         free_views = np.ones(len(self.views), dtype=np.bool_)
         # Later oldest views are free: the prior of marginalisation holds them.
         free_views[0] = self.views[0] != 0 or self.first_is_free
-        return replace(
+        problem = replace(
             self.slam_map.problem(self.views, tracks),
             free_views=free_views,
             motions=self.slam_map.motions(self.views) if self.options.motion else Motions(),
             prior=prior,
             frozen=frozen,
         )
+        return errors.extended(problem, self.views, (tracks, self.slam_map.state((), tracks).points_m))
 
     def _marginalise(self, adjusted: AdjustedWindow) -> None:
         """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
@@ -226,7 +241,9 @@ class WindowSmoother:
             local = marginalise_view(problem, state, 0, lost | excess)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
-        self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
+        errors = self.slam_map.errors
+        views = np.array(errors.views(self.views))
+        self.prior = replace(local, views=views[local.views], points=number[local.points])
         if self.gate.active:
             self.prior = _with_weak_lines(
                 self.prior, ~in_prior[local.points], self.slam_map.median_depth(self.views[-1])
@@ -241,6 +258,8 @@ class WindowSmoother:
         del self.slam_map.frames[self.views[0]]
         self.gate.drop_view(self.views[0])
         self.views = self.views[1:]
+        before, errors.since = errors.since, self.views[0]
+        self.prior = self._carried(self.prior, before)
         # The prior contains the pixels of the excess landmarks.
         gone = set(number[excess].tolist())
         for view in self.views if gone else ():
@@ -248,6 +267,11 @@ class WindowSmoother:
         for track in gone:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
+
+    def _carried(self, prior: QuadraticPrior, since: int) -> QuadraticPrior:
+        """Return a prior of landmarks where they were followed to at an older frame as one at the oldest view."""
+        at = self.slam_map.positions_m[self.views[0]], self.slam_map.frames[self.views[0]].R_cam_body
+        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at)
 
     def _beyond_prior_size(self, staying: BoolArray, in_prior: BoolArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
@@ -273,7 +297,7 @@ def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> Q
     refused; then the normal matrix would be singular. The difference from the first view is constrained, not the
     landmark's position, so that a common translation stays free.
     """
-    if len(prior.views) == 0 or not new.any():
+    if not len(prior.views) or prior.views[0] == FIELD or not new.any():
         return prior
     weight = 1.0 / (_WEAK_RATIO * depth_m) ** 2
     information, view = prior.information.copy(), np.arange(3)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import inner, kernel
+from boresight.estimators.slam.adjustment.compiled.correlated import add_coupled_steps, subtract_correlated
 from boresight.estimators.slam.adjustment.compiled.envelope import Envelope, add_diagonal, factorise, solve
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, lane_sum, linearise, six
 from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
@@ -36,7 +37,10 @@ def reduced(
         # The damping of eq. (4) is on the whole diagonal, so that it has to be added before the elimination.
         if not _invert(system.by_point, ordering.landmark, g, damping, inverse):
             return False, matrix, right, inverse
-    _subtract_landmarks(system, ordering, inverse, matrix, right)
+    if ordering.correlated:
+        subtract_correlated(system, ordering, inverse, matrix, right)
+    else:
+        _subtract_landmarks(system, ordering, inverse, matrix, right)
     return True, matrix, right, inverse
 
 
@@ -156,7 +160,9 @@ def step_landmarks(
             right[k] = -system.by_point[g, 6 * LANES + k]
         for cell in range(ordering.begin[g], ordering.begin[g + 1]):
             slot = ordering.view_slot[cell + ordering.offset[g]]
-            if slot >= 0:
+            if slot >= 0 and ordering.correlated:
+                add_coupled_steps(terms, cell, step, slot, right)
+            elif slot >= 0:
                 # W is minus the stored term, so -W' dx is added.
                 x, y, z = step[3 * slot], step[3 * slot + 1], step[3 * slot + 2]
                 for k in range(lanes):

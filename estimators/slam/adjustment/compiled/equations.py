@@ -7,6 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import inner, kernel
+from boresight.estimators.slam.adjustment.compiled.correlated import (
+    add_correlated_pixels,
+    add_symmetric_terms,
+    couple_kept_points,
+)
 from boresight.estimators.slam.adjustment.compiled.envelope import add_entry, add_symmetric
 from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, prior_slots
 from boresight.scenarios.arrays import FloatArray, IndexArray
@@ -17,7 +22,8 @@ Block = tuple[float, float, float, float, float, float]
 class FlatEquations(NamedTuple):
     """Kept matrix and gradient (n, 3), sums by landmark (G, 9 LANES), and terms of the cells (C, 9 LANES).
 
-    Nine numbers of a lane are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,).
+    Nine numbers of a lane are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,). If errors of
+    pixels are correlated, those of a cell are a (3, 3) block by rows.
     """
 
     kept: FloatArray
@@ -41,14 +47,22 @@ def linearise(
     system = FlatEquations(kept, kept_gradient, by_point, np.empty((len(ordering.pixels), 9 * LANES)))
     # First-estimates Jacobians: derivatives at the merged point, residuals at the present state.
     at = positions, points, _merged(problem.frozen_positions_m, positions), _merged(problem.frozen_points_m, points)
-    total = _add_pixels(problem, ordering, at, by_view, system)
+    terms = system.terms
+    if ordering.correlated:
+        total, terms = add_correlated_pixels(problem, ordering, at, system), np.zeros_like(system.terms)
+    else:
+        total = _add_pixels(problem, ordering, at, by_view, system)
     if len(problem.ranged_view) > 0:
         measured = problem.ranged_view, problem.ranged_point, problem.range_m, problem.range_sigma_m
         place = ordering.group, ordering.lane, ordering.offset
-        total += _add_distances(measured, at, place, (system.terms, by_point, by_view))
+        total += _add_distances(measured, at, place, (terms, by_point, by_view))
     _add_sums(ordering, by_view, system)
+    if ordering.correlated:
+        add_symmetric_terms(system.terms, terms)
     # Kept landmarks have slots after the views; without them the coupling is all with eliminated landmarks.
-    if n > ordering.views:
+    if n > ordering.views and ordering.correlated:
+        couple_kept_points(ordering, system.kept, system.terms)
+    elif n > ordering.views:
         _couple_kept_points(ordering, system)
     if len(problem.motion_start) > 0:
         total += _add_motions(problem, ordering, positions, kept, kept_gradient)

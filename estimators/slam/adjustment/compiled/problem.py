@@ -20,7 +20,11 @@ FLOAT, INDEX, BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_
 
 
 class FlatProblem(NamedTuple):
-    """An adjustment as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen."""
+    """An adjustment as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen.
+
+    The last three are those of `PixelMeasurements`; if they are not of length 0 their pixels are sorted by landmark
+    and view.
+    """
 
     pinhole: FloatArray
     attitudes: FloatArray
@@ -46,6 +50,9 @@ class FlatProblem(NamedTuple):
     free_views: BoolArray
     free_points: BoolArray
     kept_points: BoolArray
+    seen_branch: IndexArray
+    seen_walk_px2: FloatArray
+    seen_moved: FloatArray
 
 
 def floats(values: FloatArray) -> FloatArray:
@@ -86,6 +93,8 @@ class FlatOrdering(NamedTuple):
         (G,): what is added to a cell of a group to get its view.
     pixels
         (C, 3 LANES): u and v, px, and 1 / sigma of each lane of a cell; 1 / sigma = 0: no pixel.
+    correlated
+        Whether errors of pixels add up along a track.
     """
 
     view_slot: IndexArray
@@ -99,6 +108,7 @@ class FlatOrdering(NamedTuple):
     begin: IndexArray
     offset: IndexArray
     pixels: FloatArray
+    correlated: bool
 
 
 @kernel
@@ -150,7 +160,10 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
         pixels[cell, own], pixels[cell, LANES + own] = problem.seen_px[k, 0], problem.seen_px[k, 1]
         pixels[cell, 2 * LANES + own] = 1.0 / problem.seen_sigma_px[k]
     shape = make_envelope(reach)
-    return FlatOrdering(view_slot, point_slot, views, shape, group, lane, landmark, eliminated, begin, offset, pixels)
+    correlated = len(problem.seen_walk_px2) > 0
+    return FlatOrdering(
+        view_slot, point_slot, views, shape, group, lane, landmark, eliminated, begin, offset, pixels, correlated
+    )
 
 
 @inner
@@ -178,6 +191,9 @@ def _grouped(
         for k in range(len(view)):
             opens[point[k]] = min(opens[point[k]], view[k])
             closes[point[k]] = max(closes[point[k]], view[k])
+            # The field moves all landmarks.
+            if len(problem.seen_moved) > 0:
+                closes[point[k]] = views - 1
     # A group has landmarks of one kind only.
     count, after, kind = 0, np.empty(n, np.int64), np.empty(n, np.int64)
     for j in range(n):

@@ -1,0 +1,203 @@
+"""Errors that add up along tracks: smoother and filter against dense least squares with all of them as unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+from slam_sequences import CAMERA, Recipe, make_sequence, with_track_errors
+
+from boresight.estimators.registry import sequence_estimator_class
+from boresight.estimators.slam.adjustment.problem import QuadraticPrior, State
+from boresight.estimators.slam.adjustment.slam_map import SlamMap
+from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, minimise, view_covariance
+from boresight.estimators.slam.adjustment.track_errors import FIELD
+
+WALK_PX, FIELD_M = 0.4, 0.05
+POSITION_M = 0.5
+
+
+class Dense:
+    """The frames as one least-squares problem with each step of each walk, and the field, as unknowns.
+
+    ``across`` are tracks whose step into frame 1 is a displacement of the landmark across the line of sight there.
+    """
+
+    def __init__(self, slam_map: SlamMap, tracks: list[int], frames: list[int], across: set[int]) -> None:
+        self.map, self.tracks, self.frames, self.across = slam_map, tracks, frames, across
+        self.began = {track: min(k for k in frames if track in slam_map.frames[k].tracks) for track in tracks}
+        self.places = {track: slam_map.points_m[track].copy() for track in tracks}
+        self.camera_1 = slam_map.positions_m[frames[1]].copy()
+        self.steps = [(track, k) for track in tracks for k in frames if k > self.began[track]]
+        cameras = [slam_map.positions_m[k] for k in frames]
+        self.start = np.concatenate([*cameras, *self.places.values(), np.zeros(3 + 2 * len(self.steps))])
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        count = len(self.frames)
+        cameras = dict(zip(self.frames, x[: 3 * count].reshape(-1, 3), strict=True))
+        points = dict(zip(self.tracks, x[3 * count :][: 3 * len(self.tracks)].reshape(-1, 3), strict=True))
+        rest = x[3 * (count + len(self.tracks)) :]
+        field, steps = rest[:3], dict(zip(self.steps, rest[3:].reshape(-1, 2), strict=True))
+        first = self.map.positions_m[self.frames[0]]
+        found = [(cameras[self.frames[0]] - first) / POSITION_M, field / FIELD_M, rest[3:] / WALK_PX]
+        for before, k in zip(self.frames, self.frames[1:], strict=False):
+            frame = self.map.frames[k]
+            root = np.linalg.cholesky(np.linalg.inv(frame.motion_covariance_m2)).T
+            found.append(root @ (cameras[k] - cameras[before] - frame.motion_m))
+        for k in self.frames:
+            frame = self.map.frames[k]
+            found += [
+                [(np.linalg.norm(points[item.track] - cameras[k]) - item.range_m) / item.sigma_m]
+                for item in frame.ranges
+                if item.track in points
+            ]
+            for row, track in enumerate(frame.tracks.tolist()):
+                if track in points:
+                    pixel = self._pixel(track, k, cameras[k], points[track], field, steps)
+                    found.append((pixel - frame.uv_px[row]) / frame.sigma_px)
+        return np.concatenate(found)
+
+    def _pixel(self, track, k, camera, point, field, steps) -> np.ndarray:
+        frame, normal = self.map.frames[k], self.places[track] / np.linalg.norm(self.places[track])
+        point, bias = point.copy(), np.zeros(2)
+        for now in range(self.began[track] + 1, k + 1):
+            point += normal * (self.map.frames[now].R_cam_body @ normal @ field)
+            if track in self.across and now == 1:
+                R = self.map.frames[1].R_cam_body
+                J = CAMERA.jacobian((R @ (self.places[track] - self.camera_1))[None])[0] @ R
+                point += np.linalg.pinv(J) @ steps[track, now]
+            else:
+                bias += steps[track, now]
+        return CAMERA.project((frame.R_cam_body @ (point - camera))[None])[0] + bias
+
+    def solve(self) -> tuple[np.ndarray, np.ndarray]:
+        """The last camera's position and its covariance."""
+        done = least_squares(self.residuals, self.start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        rows = slice(3 * len(self.frames) - 3, 3 * len(self.frames))
+        return done.x[rows], np.linalg.inv(done.jac.T @ done.jac)[rows, rows]
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Six frames with track errors; the map at the truth."""
+    rng = np.random.default_rng(3)
+    sequence, truth = make_sequence(rng, Recipe(frames=6, landmarks=9, repeatability=0.85))
+    sequence = with_track_errors(rng, sequence, truth, WALK_PX, FIELD_M)
+    slam_map = SlamMap(CAMERA)
+    for frame in sequence.frames:
+        slam_map.errors.add(frame)
+    slam_map.frames = dict(enumerate(sequence.frames))
+    slam_map.positions_m = {**dict(enumerate(truth.positions_m)), FIELD: np.zeros(3)}
+    slam_map.points_m = dict(truth.points_m)
+    tracks = sorted(track for track, by in slam_map.seen_by(range(6)).items() if len(by) >= 2)
+    return slam_map, tracks, sequence
+
+
+def adjustment(slam_map: SlamMap, tracks: list[int], views: list[int], prior: QuadraticPrior | None):
+    problem = replace(slam_map.problem(views, tracks), motions=slam_map.motions(views), prior=prior)
+    return slam_map.errors.extended(problem, views, (tracks, slam_map.state((), tracks).points_m))
+
+
+def first_prior(slam_map: SlamMap) -> QuadraticPrior:
+    prior = slam_map.errors.prior(QuadraticPrior.of_first_position(slam_map.positions_m[0], POSITION_M**2 * np.eye(3)))
+    assert prior is not None
+    return prior
+
+
+def test_an_adjustment_equals_dense_least_squares_with_every_step_as_an_unknown(small):
+    slam_map, tracks, _ = small
+    views = list(range(6))
+    prior = replace(first_prior(slam_map), views=np.array([0, 6]))
+    for kept in (None, np.arange(len(tracks)) % 3 == 0):
+        problem = replace(adjustment(slam_map, tracks, views, prior), kept_points=kept)
+        found = minimise(problem, slam_map.state([*views, FIELD], tracks), StoppingRule(1e-10))
+        covariance = view_covariance(problem, found.state, 5)
+        wanted, spread = Dense(slam_map, tracks, views, set()).solve()
+        np.testing.assert_allclose(found.state.positions_m[5], wanted, atol=1e-4 * np.sqrt(spread.max()))
+        np.testing.assert_allclose(covariance, spread, rtol=2e-4, atol=1e-5 * spread.max())
+
+
+def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):
+    slam_map, tracks, sequence = small
+    # Noise so small that the problem is linear.
+    quiet = SlamMap(CAMERA)
+    share, first = 1e-3, dict(slam_map.points_m)
+    for frame in sequence.frames:
+        there = slam_map.positions_m[len(quiet.frames)]
+        exact = CAMERA.project((np.array([first[t] for t in frame.tracks.tolist()]) - there) @ frame.R_cam_body.T)
+        uv = exact + share * (frame.uv_px - exact)
+        motion = there - slam_map.positions_m[max(len(quiet.frames) - 1, 0)]
+        moved = motion + share * (frame.motion_m - motion)
+        quiet.frames[len(quiet.frames)] = replace(frame, uv_px=uv, motion_m=moved)
+        quiet.errors.add(frame)
+    quiet.positions_m, quiet.points_m = dict(slam_map.positions_m), first
+    views = list(range(6))
+    problem = adjustment(quiet, tracks, views, replace(first_prior(quiet), views=np.array([0, 6])))
+    state = quiet.state([*views, FIELD], tracks)
+    last, oldest = set(quiet.frames[5].tracks.tolist()), set(quiet.frames[0].tracks.tolist())
+    lost = np.array([track in oldest - last for track in tracks])
+    local = marginalise_view(problem, state, 0, lost)
+    names = np.array([*views, FIELD])
+    prior = replace(local, views=names[local.views], points=np.array(tracks)[local.points])
+    at = quiet.positions_m[1], quiet.frames[1].R_cam_body
+    quiet.errors.since = 1
+    prior = quiet.errors.carried(prior, 0, CAMERA, at)
+    left = [track for track, gone in zip(tracks, lost.tolist(), strict=True) if not gone]
+    kept = [*views[1:], FIELD]
+    prior = replace(prior, views=np.searchsorted(kept, prior.views), points=np.searchsorted(left, prior.points))
+    window = adjustment(quiet, left, views[1:], prior)
+    found = minimise(window, State(state.positions_m[1:], quiet.state((), left).points_m), StoppingRule(1e-12))
+    covariance = view_covariance(window, found.state, 4)
+    carried = {track for track in left if track in oldest}
+    assert len(carried) >= 3
+    assert lost.sum() >= 2
+    for across, tolerance in ((carried, 1e-3), (set(), 0.02)):
+        # A step that moves the landmark, as in the window, and one that shifts every later pixel by as much.
+        wanted, spread = Dense(quiet, tracks, views, across).solve()
+        scale = np.sqrt(spread.max())
+        np.testing.assert_allclose(covariance, spread, atol=tolerance * spread.max())
+        np.testing.assert_allclose(found.state.positions_m[4], wanted, atol=3.0 * tolerance * share * scale)
+    plain = replace(quiet.problem(views, tracks), motions=quiet.motions(views))
+    prior = QuadraticPrior.of_first_position(quiet.positions_m[0], POSITION_M**2 * np.eye(3))
+    spread = view_covariance(replace(plain, prior=prior), quiet.state(views, tracks), 5)
+    assert np.trace(spread) < 0.8 * np.trace(covariance), "the errors of tracks have no part"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("fixed-lag", {"associations": "all", "lag": 5}),
+        ("batch", {}),
+        ("loop-smoother", {"associations": "all", "lag": 5}),
+        ("consistent-ekf-slam", {}),
+    ],
+)
+@pytest.mark.parametrize("declared", [(0.5, 0.0), (0.0, 0.3), (0.5, 0.3)])
+def test_covariances_describe_the_errors_of_tracks(name, options, declared):
+    check_consistency(name, options, declared, 24)
+
+
+def test_covariances_of_a_filter_of_poses_do_too():
+    check_consistency("consistent-ekf-slam", {"camera": "pose"}, (0.5, 0.3), 12)
+
+
+def check_consistency(name, options, declared, runs):
+    frames, told, untold = 14, [], []
+    for seed in range(runs):
+        rng = np.random.default_rng(100 + seed)
+        sequence, truth = make_sequence(rng, Recipe(frames=frames, repeatability=0.9))
+        sequence = with_track_errors(rng, sequence, truth, *declared)
+        silent = replace(sequence, frames=tuple(replace(f, walk_px=0.0, field_m=0.0) for f in sequence.frames))
+        for one, squares in ((sequence, told), (silent, untold)):
+            estimate = sequence_estimator_class(name).from_options(options).follow(one)
+            assert estimate.status == "ok", estimate.reason
+            last = estimate.frames[-1]
+            error = last.position_m - truth.positions_m[-1]
+            squares.append(float(error @ np.linalg.solve(last.covariance_m2, error)))
+    # Two-sided 99.9 % bounds of the mean of so many chi-squares of 3 degrees of freedom.
+    low, high = chi2.interval(0.999, 3 * runs)
+    assert low < np.sum(told) < high
+    assert np.sum(untold) > high
