@@ -69,7 +69,8 @@ def craters_real_command(arguments: argparse.Namespace) -> int:
             f" found, {int((label == -1).sum())} of {matches.large[np.concatenate(kept)].sum()} detections of that size"
             f" false; {label_quality(matches)}"
         )
-        tables.append(score_table(matches).assign(ground=ground, images=len(parts)))
+        chosen = {"detector": detector.name, "set": arguments.set}
+        tables.append(score_table(matches).assign(ground=ground, images=len(parts), **chosen))
     scores = pd.concat(tables).round(4)
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)

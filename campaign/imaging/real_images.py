@@ -63,7 +63,7 @@ def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
     kernels = () if spec.spice is None else spec.spice.kernels
     yield from zip(kernels, images.files, strict=False)
     for path in images.files[len(kernels) :]:
-        if spec.adjusted is not None and path.name == Path(spec.adjusted.table).name:
+        if spec.adjusted is not None and isinstance(images, PosedImageSet) and path == images.sources[-1]:
             yield spec.adjusted.table, path
             continue
         name = path.relative_to(images.folder).as_posix() if isinstance(images, PosedImageSet) else path.name

@@ -184,6 +184,7 @@ def _craters(found: Mapping[str, FinishedRun]) -> list[Grid]:
         scores = pd.read_csv(SCORES)
         recall = scores[scores["labels"] == "all"].set_index("ground")["recall_10"]
         rendered = float(recall["rendered"])
+        (detector,), (chosen,) = scores["detector"].unique(), scores["set"].unique()
     except FileNotFoundError:
         raise BoresightError(f"craters: no {SCORES}: to make it: boresight craters-real") from None
     except CONTENT_FAULTS as error:
@@ -198,7 +199,8 @@ def _craters(found: Mapping[str, FinishedRun]) -> list[Grid]:
         for ground, value in recall.items()
         if ground != "rendered"
     ]
-    return [row_grid("Craters found at 10 % false detections", rows, ("ground",), _RECALL)]
+    title = f"Craters found at 10 % false detections: {detector}, images of the Moon for {chosen}"
+    return [row_grid(title, rows, ("ground",), _RECALL)]
 
 
 def _levels(run: RunData) -> list[str]:

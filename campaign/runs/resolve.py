@@ -113,6 +113,12 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
                 f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
                 f" add the section, or leave the estimator out"
             )
+        database, images = entry.options.get("database"), scenario.spec.images
+        surveyed = isinstance(database, Mapping) and database.get("source") == "survey"
+        if surveyed and (images is None or not images.survey):
+            raise BoresightError(
+                f"{scenario.path}: images.survey: names no images, but {entry.label} has database.source: survey"
+            )
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:

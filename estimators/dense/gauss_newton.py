@@ -46,12 +46,12 @@ class LevelOptions(SpecModel):
 
     reduction: Literal[1, 2, 4, 8, 16] = Field(1, description="Side of the square of pixels that are averaged into one")
     blur_px: float = Field(1.0, ge=0, le=20, description="Blur of both images, in pixels of this level")
-    background_px: float = Field(
-        0.0,
+    background_px: float | None = Field(
+        None,
         ge=0,
         le=100,
-        description="Blur of the subtracted background, in pixels of this level; 0: none, or 6 where the frame cuts the"
-        " body",
+        description="Blur of the subtracted background, in pixels of this level; 0: none is subtracted; default: none,"
+        " or 6 where the frame cuts the body",
     )
     iterations: int = Field(6, ge=1, le=200, description="Steps at most")
 
@@ -110,7 +110,7 @@ def reduced_image(image: Image, reduction: int) -> Image:
 def band_pass(image: Image, level: LevelOptions) -> Image:
     """Band-pass an image: blur it, and subtract the level's background."""
     smooth = cv2.GaussianBlur(image, (0, 0), level.blur_px) if level.blur_px > 0.0 else image
-    if level.background_px > 0.0:
+    if level.background_px:
         smooth = smooth - cv2.GaussianBlur(smooth, (0, 0), level.background_px)
     return np.asarray(smooth, dtype=np.float32)
 
@@ -334,9 +334,10 @@ def register(
     # The prior is that of the frame, not shifted: the shift comes from the same image.
     prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
     fits: list[LevelFit] = []
-    least_px = _CUT_BACKGROUND_PX if is_cut(observed) else 0.0
+    default_px = _CUT_BACKGROUND_PX if is_cut(observed) else 0.0
     for wanted in options.levels:
-        level = wanted.model_copy(update={"background_px": wanted.background_px or least_px})
+        own_px = wanted.background_px
+        level = wanted.model_copy(update={"background_px": default_px if own_px is None else own_px})
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
             fits.append(fit_level(observed, begin, view, prior, size_m, level, options))

@@ -209,13 +209,17 @@ def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera
 
 def _table_of_colmap(folder: Path, spec: ColmapSpec, prefix: str, camera: Camera) -> PoseTable:
     model, path = colmap.read_colmap(folder, {"m": 1.0, "km": 1e3}[spec.unit]), folder / colmap.IMAGES
-    poses = []
+    poses, taken = [], dict[str, str]()
     for one in spec.images:
         # A model names its images from their own folder on, which may lie below that of the set.
         known = [name for name in model if f"/{one.image}".endswith(f"/{name}")]
         if not known:
             raise BoresightError(f"{path}: holds no pose of {one.image}, of {len(model)} images")
-        own, pose = model[max(known, key=len)]
+        name = max(known, key=len)
+        if name in taken:
+            raise BoresightError(f"{path}: {taken[name]} and {one.image} have the same pose, that of {name}")
+        taken[name] = one.image
+        own, pose = model[name]
         check_camera(camera, own, one.image, str(folder / colmap.CAMERAS))
         if pose.translation_m[2] <= 0.0:
             raise BoresightError(f"{path}: {one.image}: the body is behind the camera")

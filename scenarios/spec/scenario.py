@@ -156,6 +156,8 @@ class ImageSetSpec(SpecModel):
             raise ValueError("rendered images have the pose of truth and no other: leave also_score and aligned empty")
         if self.rendered and self.survey:
             raise ValueError("survey: images of a survey are real ones, not rendered")
+        if len(set(self.survey)) < len(self.survey):
+            raise ValueError("survey: an image appears twice")
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
@@ -294,6 +296,12 @@ class ScenarioSpec(SpecModel):
             raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
         if self.craters is not None and body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
+
+    @rule
+    def _survey_of_a_known_camera(self) -> None:
+        wrong = self.onboard.focal_error, *self.onboard.principal_point_error_px
+        if self.images is not None and self.images.survey and any(wrong):
+            raise ValueError("images.survey: its images have the true camera: leave the errors of onboard's out")
 
     @model_validator(mode="after")
     def _smallest_listed_crater(self) -> Self:

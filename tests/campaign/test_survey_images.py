@@ -120,6 +120,9 @@ def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(pl
     [
         (IMAGES % ", survey: [7.png]", METHOD, r"images\.survey: no image is called 7\.png"),
         (IMAGES % ", survey: [0.png, 1.png, 2.png]", METHOD, r"images\.survey: no image remains"),
+        (IMAGES % "", METHOD, "images.survey: names no images, but landmark-sift has database.source: survey"),
+        (IMAGES % ", survey: [0.png, 0.png]", METHOD, "an image appears twice"),
+        (IMAGES % SURVEY + "onboard: {focal_error: 0.001}\n", METHOD, "its images have the true camera"),
         (IMAGES % ", rendered: true, survey: [0.png]", METHOD, "images of a survey are real ones, not rendered"),
         (
             IMAGES % SURVEY,
@@ -131,11 +134,3 @@ def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(pl
 def test_surveys_that_cannot_be_are_refused(place, images, method, said):
     with pytest.raises(BoresightError, match=said):
         boresight.run(campaign(place, images, method), out=place / "run", jobs=1)
-
-
-def test_without_a_survey_there_is_no_data_base_of_it(place):
-    compute(campaign(place, IMAGES % ""), place / "run", 2)
-    rows = RunFolder(place / "run").table("rows")
-    own = rows[rows["estimator"] == "landmark-sift"]
-    assert (own["status"] == "error").all()
-    assert own["reason"].str.contains("images.survey names no images, but database.source is survey").all()

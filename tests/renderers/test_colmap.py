@@ -69,6 +69,15 @@ def test_models_that_do_not_fit_are_refused(tmp_path, poses, camera, said):
         open_set(tmp_path)
 
 
+def test_two_images_have_not_the_same_pose(tmp_path):
+    write_model(tmp_path, {"a.png": POSE})
+    (tmp_path / "other").mkdir()
+    cv2.imwrite(str(tmp_path / "other" / "a.png"), np.zeros((800, 1000), np.uint8))
+    both = [{"image": name, "sun_body": [0, 3, 4]} for name in ("images/a.png", "other/a.png")]
+    with pytest.raises(BoresightError, match=r"images/a\.png and other/a\.png have the same pose, that of a\.png"):
+        open_set(tmp_path, images=both)
+
+
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 def test_no_part_of_a_file_may_be_missing(tmp_path, name):
     write_model(tmp_path, {"a.png": POSE})

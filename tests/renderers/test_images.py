@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import struct
 from pathlib import Path
@@ -16,6 +17,7 @@ from mission_data import data_path, needs_data
 from painted_bodies import correlation, painted
 from scipy.spatial.transform import Rotation
 
+from boresight.campaign.imaging.real_images import image_files
 from boresight.renderers.images import PosedImageSet
 from boresight.renderers.images.pixels import read_image
 from boresight.scenarios.errors import BoresightError
@@ -156,6 +158,17 @@ def test_adjusted_poses_have_their_own_sun_and_a_covariance(tmp_path):
     # Only the pose that is scored against has a covariance here.
     other = open_set(folder, truth="ref", also_score=("joint",), adjusted=adjusted)
     assert other.covariance(0) is None
+
+
+def test_tables_of_the_same_name_are_files_of_their_own(tmp_path):
+    folder = write_set(tmp_path / "set", [row("a.png")])
+    table = write_set(tmp_path / "adjusted", [adjusted_row("a.png", np.eye(6))])
+    spec = {"folder": str(folder), "truth": "joint", "adjusted": {"name": "joint", "table": f"{table}/poses.csv"}}
+    camera = {"width_px": 24, "height_px": 16, "fov_deg": float(np.degrees(0.1))}
+    (tmp_path / "scene.yaml").write_text(json.dumps({"body": {"shape": "sphere"}, "camera": camera, "images": spec}))
+    files = dict(image_files(load_scenario(str(tmp_path / "scene.yaml"))))
+    assert files[f"{folder}/poses.csv"] == folder / "poses.csv"
+    assert files[f"{table}/poses.csv"] == table / "poses.csv"
 
 
 @pytest.mark.parametrize(

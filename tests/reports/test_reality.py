@@ -154,8 +154,11 @@ def test_craters_are_those_of_the_stored_scores(tmp_path, monkeypatch):
     with pytest.raises(BoresightError, match="to make it: boresight craters-real"):
         PAPER.tables[1]({})
     SCORES.parent.mkdir(parents=True)
-    SCORES.write_text("labels,recall_10,ground\nall,0.3,moon\nisolated,0.5,moon\nall,0.4,mars\nall,0.8,rendered\n")
+    lines = ["all,0.3,moon", "isolated,0.5,moon", "all,0.4,mars", "all,0.8,rendered"]
+    told = "".join(f"{line},crater-learned,choices\n" for line in lines)
+    SCORES.write_text(f"labels,recall_10,ground,detector,set\n{told}")
     (grid,) = PAPER.tables[1]({})
+    assert grid.title.endswith("crater-learned, images of the Moon for choices")
     assert grid.rows == (("moon", "0.300", "0.800", "0.375"), ("mars", "0.400", "0.800", "0.500"))
     SCORES.write_text("labels,recall_10\nall,0.3\n")
     with pytest.raises(BoresightError, match=r"scores\.csv: cannot be read"):

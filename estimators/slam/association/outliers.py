@@ -285,7 +285,9 @@ class OutlierGate:
             frame, again = self.raw_frames[view], set()
             for track in self.refused.get(view, set()) & points_m.keys():
                 uv_px = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
-                predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] - position_m))
+                # The field, if there is one, is the last of the positions.
+                moved_m = self.slam_map.errors.moved_m(track, view, points_m[track], adjusted.state.positions_m[-1])
+                predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] + moved_m - position_m))
                 # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower
                 # limit also keeps a pixel from being refused and readmitted in turn.
                 walked_px = np.sqrt(self.slam_map.errors.walk_px2(view, [track])[0])
