@@ -42,7 +42,8 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     Too few landmarks are shared by two frames, or the scale is unobservable: the position's standard deviation exceeds
     ``uncertainty_max`` of the distance. In ``delpech2015-comparison`` 96, 100 and 100 of 100 runs of 10, 15 and 20
     landmarks a frame ended, with a mean NEES of 3.16, 2.97 and 2.84, 3 expected. Errors of the attitude are not
-    modelled with ``attitude: known``.
+    modelled with ``attitude: known``. With ``sequence.knowledge.walk_px`` a wrong pixel passes the gate the more
+    easily, the older its track is.
 
     Cost
     ----
