@@ -44,7 +44,7 @@ from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.reading import CONTENT_FAULTS
 
 _IMAGES = {"compare-navcam67p": "67P, 60 images"}
-_SHOWN = 3
+_SHOWN, _MOST_PERCENT = 3, 99.5
 _TRACKS, _SIMULATED = "vesta-real-slam", "vesta-simulated-slam"
 SCORES = Path("figures/craters-real/scores.csv")
 _GAP, _CELLS, _LEAST_TRACKS = 4, 10, 30
@@ -75,8 +75,9 @@ def _rows(found: Mapping[str, FinishedRun]) -> Iterator[dict[str, str]]:
 
 def _views(run: FinishedRun) -> Iterator[NamedFigure]:
     yield NamedFigure(
-        "_views", _pictures(run), "Real images (above), and renderings of their views with what the spacecraft does not"
-        " know (below).", "Images of a body above renderings that look alike.",
+        "_views", _pictures(run), "Real images (above), renderings of their views with what the spacecraft does not"
+        " know (middle), and their difference, grey where they agree (below).",
+        "Images of a body, renderings that look alike, and differences that are largest on its outline.",
     )  # fmt: skip
 
 
@@ -98,7 +99,9 @@ def _pictures(run: FinishedRun) -> Figure:
         smooth, model = (cv2.GaussianBlur(image.astype(np.float64), (0, 0), 1.0) for image in (real, rendered))
         # The rendering in the unit of the image: background and gain by least squares.
         scale = np.polyfit(model.ravel(), smooth.ravel(), 1)
-        image_panel(axes, smooth - np.polyval(scale, model), "real less rendered")
+        left = smooth - np.polyval(scale, model)
+        limit = float(np.percentile(np.abs(left), _MOST_PERCENT))
+        image_panel(axes, np.clip(left, -limit, limit) + limit, "real less rendered")
     return finish(figure, "Real images and renderings of their views", credit_lines(scenarios[0].spec))
 
 
