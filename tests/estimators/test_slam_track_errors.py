@@ -120,6 +120,16 @@ def test_an_adjustment_equals_dense_least_squares_with_every_step_as_an_unknown(
         np.testing.assert_allclose(covariance, spread, rtol=2e-4, atol=1e-5 * spread.max())
 
 
+def test_a_pixel_that_comes_back_is_compared_with_the_point_that_the_field_has_moved(small):
+    slam_map, (track, *_), _ = small
+    point_m, field_m = np.array([10.0, -70.0, 40.0]), np.array([0.3, -0.2, 0.5])
+    began = min(k for k, frame in slam_map.frames.items() if track in frame.tracks)
+    normal, moved_m = point_m / np.linalg.norm(point_m), np.zeros(3)
+    for frame in [slam_map.frames[k] for k in range(began + 1, 6)]:
+        moved_m += (frame.R_cam_body.T @ field_m) @ normal * normal
+    np.testing.assert_allclose(slam_map.errors.moved_m(track, 5, point_m, field_m), moved_m, rtol=1e-12)
+
+
 def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):
     slam_map, tracks, sequence = small
     # Noise so small that the problem is linear.

@@ -114,8 +114,10 @@ class TrackErrors:
 
     def moved_m(self, track: int, view: int, point_m: FloatArray, field_m: FloatArray) -> FloatArray:
         """(3,) displacement of the point (3,) that a track follows by a field (3,), from its branch to a frame."""
-        at = (np.array([frame]) for frame in (self.branch(track), view))
-        return np.asarray(self._moved(point_m[None], *at)[0] @ field_m) if self.field_m else np.zeros(3)
+        if not self.field_m:
+            return np.zeros(3)
+        moved = self._moved(point_m[None], np.array([self.branch(track)]), np.array([view]))
+        return np.asarray(moved[0] @ field_m, dtype=np.float64)
 
     def _moved(self, points_m: FloatArray, start: IndexArray, end: IndexArray) -> FloatArray:
         """(k, 3, 3) displacement of points (k, 3) between two frames by the field, body axes from camera axes."""
