@@ -13,8 +13,14 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from boresight.estimators.slam.adjustment.compiled.descent import reduced, step_landmarks
 from boresight.estimators.slam.adjustment.compiled.envelope import dense, without
-from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
-from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, FlatProblem, floats, make_ordering
+from boresight.estimators.slam.adjustment.compiled.equations import linearise
+from boresight.estimators.slam.adjustment.compiled.problem import (
+    FlatEquations,
+    FlatOrdering,
+    FlatProblem,
+    floats,
+    make_ordering,
+)
 from boresight.estimators.slam.adjustment.problem import Adjustment, State
 from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule, removed
 from boresight.estimators.slam.force_model import ForceModel, propagate, propagate_with_derivatives

@@ -10,7 +10,13 @@ import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import inner
 from boresight.estimators.slam.adjustment.compiled.envelope import add_entry
-from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem
+from boresight.estimators.slam.adjustment.compiled.problem import (
+    LANES,
+    FlatEquations,
+    FlatOrdering,
+    FlatProblem,
+    Places,
+)
 from boresight.scenarios.arrays import FloatArray
 
 
@@ -18,22 +24,21 @@ from boresight.scenarios.arrays import FloatArray
 def add_correlated_pixels(
     problem: FlatProblem,
     ordering: FlatOrdering,
-    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    sums: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    at: Places,
+    system: FlatEquations,
 ) -> float:
     """Add all pixels to the equations; return r' C^-1 r, inf with a landmark behind a camera.
 
-    ``at`` are positions and landmarks, and those of the linearisation point, ``sums`` the members of `FlatEquations`.
     The terms of a cell are a (3, 3) block, minus the derivative of the gradient of its view by its landmark.
     """
     # Sorted by landmark and view.
     point, total, first = problem.seen_point, 0.0, 0
-    sums[3][:] = 0.0
+    system.terms[:] = 0.0
     while first < len(point):
         end = first + 1
         while end < len(point) and point[end] == point[first]:
             end += 1
-        total += _add_landmark(problem, ordering, at, sums, first, end)
+        total += _add_landmark(problem, ordering, at, system, first, end)
         first = end
     return total
 
@@ -42,13 +47,13 @@ def add_correlated_pixels(
 def _add_landmark(
     problem: FlatProblem,
     ordering: FlatOrdering,
-    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    sums: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    at: Places,
+    system: FlatEquations,
     first: int,
     end: int,
 ) -> float:
     """Add the pixels from ``first`` to ``end``, those of one landmark; return their part of the sum of squares."""
-    kept, gradient, by_point, terms = sums
+    kept, gradient, by_point, terms = system
     count, j = end - first, problem.seen_point[first]
     g, lane = ordering.group[j], ordering.lane[j]
     J, F, r, sound = _residuals(problem, at, first, end)
@@ -102,7 +107,7 @@ def _add_landmark(
 
 @inner
 def _residuals(
-    problem: FlatProblem, at: tuple[FloatArray, FloatArray, FloatArray, FloatArray], first: int, end: int
+    problem: FlatProblem, at: Places, first: int, end: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
     """Return derivatives (m, 2, 3) of pixels by landmark and by field, and predicted minus measured (m, 2), px.
 
@@ -200,14 +205,14 @@ def couple_kept_points(ordering: FlatOrdering, kept: FloatArray, terms: FloatArr
 
 @inner
 def subtract_correlated(
-    sums: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    system: FlatEquations,
     ordering: FlatOrdering,
     inverse: FloatArray,
     matrix: FloatArray,
     right: FloatArray,
 ) -> None:
     """Subtract the Schur complement's terms W V^-1 W' and W V^-1 h of the eliminated landmarks, in place."""
-    _, _, by_point, terms = sums
+    by_point, terms = system.by_point, system.terms
     views = len(ordering.view_slot)
     slots, W, product = np.empty(views, np.int64), np.empty((views, 3, 3)), np.empty((3, 3))
     for g in range(ordering.eliminated):

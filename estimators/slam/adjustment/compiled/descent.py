@@ -14,8 +14,14 @@ import numpy as np
 from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.estimators.slam.adjustment.compiled.correlated import add_coupled_steps, subtract_correlated
 from boresight.estimators.slam.adjustment.compiled.envelope import Envelope, add_diagonal, factorise, solve
-from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, lane_sum, linearise, six
-from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
+from boresight.estimators.slam.adjustment.compiled.equations import lane_sum, linearise, six
+from boresight.estimators.slam.adjustment.compiled.problem import (
+    LANES,
+    FlatEquations,
+    FlatOrdering,
+    FlatProblem,
+    make_ordering,
+)
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 

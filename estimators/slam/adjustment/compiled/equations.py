@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import inner, kernel
@@ -13,23 +11,17 @@ from boresight.estimators.slam.adjustment.compiled.correlated import (
     couple_kept_points,
 )
 from boresight.estimators.slam.adjustment.compiled.envelope import add_entry, add_symmetric
-from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, prior_slots
+from boresight.estimators.slam.adjustment.compiled.problem import (
+    LANES,
+    FlatEquations,
+    FlatOrdering,
+    FlatProblem,
+    Places,
+    prior_slots,
+)
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 Block = tuple[float, float, float, float, float, float]
-
-
-class FlatEquations(NamedTuple):
-    """Kept matrix and gradient (n, 3), sums by landmark (G, 9 LANES), and terms of the cells (C, 9 LANES).
-
-    Nine numbers of a lane are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,). If errors of
-    pixels are correlated, those of a cell are a (3, 3) block by rows.
-    """
-
-    kept: FloatArray
-    kept_gradient: FloatArray
-    by_point: FloatArray
-    terms: FloatArray
 
 
 @kernel
@@ -90,7 +82,7 @@ def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
 def _add_pixels(
     problem: FlatProblem,
     ordering: FlatOrdering,
-    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    at: Places,
     by_view: FloatArray,
     system: FlatEquations,
 ) -> float:
@@ -194,7 +186,7 @@ def six(values: FloatArray, g: int, lane: int) -> Block:
 @inner
 def _add_distances(
     measured: tuple[IndexArray, IndexArray, FloatArray, FloatArray],
-    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    at: Places,
     place: tuple[IndexArray, IndexArray, IndexArray],
     sums: tuple[FloatArray, FloatArray, FloatArray],
 ) -> float:

@@ -19,6 +19,10 @@ LANES = 8
 FLOAT, INDEX, BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
 
+Places = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Positions and landmarks, and those of the linearisation point, each (n, 3)."""
+
+
 class FlatProblem(NamedTuple):
     """An adjustment as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen.
 
@@ -65,6 +69,19 @@ def plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar
     if values.dtype is dtype and values.flags.carray:
         return values
     return np.array(values, dtype=dtype, order="C")
+
+
+class FlatEquations(NamedTuple):
+    """Kept matrix and gradient (n, 3), sums by landmark (G, 9 LANES), and terms of the cells (C, 9 LANES).
+
+    Nine numbers of a lane are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,). If errors of
+    pixels are correlated, those of a cell are a (3, 3) block by rows.
+    """
+
+    kept: FloatArray
+    kept_gradient: FloatArray
+    by_point: FloatArray
+    terms: FloatArray
 
 
 class FlatOrdering(NamedTuple):
