@@ -118,7 +118,7 @@ def consistency(
     the Cramer-Rao bound of its observations; None where it gives none. ``true_covariance`` (6, 6) is that of ``true``,
     if that is a reference that errs itself. Of the result, ``nees`` is e^T P^-1 e with 6 degrees of freedom, for e in
     est = true.perturbed(e) and P the sum of the covariances of both; ``position_sigma_m`` and ``attitude_sigma_deg``
-    are the RMS errors of the camera in the body and of the attitude that the estimator's covariance foretells, and
+    are the RMS errors of the camera in the body and of the attitude that the estimator's covariance predicts, and
     ``position_bound_m`` and ``attitude_bound_deg`` those of the bound.
     """
     position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
