@@ -34,7 +34,7 @@ def open_survey(scenario: LoadedScenario) -> ImageSet:
     """Open the real images of a scenario that are for data bases; raise BoresightError if it has none."""
     spec = scenario.spec.images
     if spec is None or not spec.survey:
-        raise BoresightError(f"{scenario.path}: images.survey names no images, but database.source is survey")
+        raise BoresightError(f"{scenario.path}: images.survey names no images, but a data base has source: survey")
     return split_survey(_all_images(scenario), spec.survey)[1]
 
 

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import ImageStore
 from boresight.campaign.imaging.preview import typical_range_m
-from boresight.campaign.imaging.real_images import images_digest
+from boresight.campaign.imaging.real_images import images_digest, open_survey
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
 from boresight.renderers.mitsuba3 import renderer_version
+from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.craters import shape_digest
 from boresight.scenarios.draw import Stream, draw_aimed_view, generator
@@ -72,7 +73,7 @@ def content_key(
         "versions": [*versions, renderer_version(spec)[1]],
         "variant": variant,
     }
-    if getattr(options, "source", "rendered") == "survey" and spec.images is not None:
+    if getattr(options, "source", "") == "survey" and spec.images is not None:
         parts["survey"] = [canonical_json(spec.images), images_digest(scenario)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
@@ -204,3 +205,12 @@ def database_images(
         pixels, stored = store.image(seed, image, view, world.renderer.render)
         yield DatabaseImage(pixels, view, scenario, variant, stored)
     store.flush()
+
+
+def survey_images(scenario: LoadedScenario, variant: str) -> Iterator[DatabaseImage]:
+    """Yield the real images of a scenario that are for data bases, without distortion, at their reference poses."""
+    images = open_survey(scenario)
+    for index in range(len(images)):
+        seen = images.view(index)
+        view = replace(seen, camera=seen.camera.pinhole)
+        yield DatabaseImage(rectify(images.image(index), seen.camera), view, scenario, variant, from_store=False)

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.campaign.imaging.real_images import open_survey
 from boresight.campaign.products.databases import (
-    DatabaseImage,
     ProductKind,
     content_key,
     database_images,
     map_images,
+    survey_images,
 )
 from boresight.estimators.descriptors.database import METHOD_VERSION as DESCRIPTORS_VERSION
 from boresight.estimators.descriptors.database import (
@@ -34,7 +33,8 @@ from boresight.estimators.landmark.database import (
 from boresight.estimators.maplets.build import METHOD_VERSION as MAPLETS_VERSION
 from boresight.estimators.maplets.build import MapletOptions, build_maplets
 from boresight.estimators.maplets.database import MapletDatabase
-from boresight.renderers.rectify import rectify
+from boresight.estimators.maplets.paint import paint, seen
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
@@ -132,21 +132,25 @@ def _features_of_survey(
     scenario: LoadedScenario, options: DescriptorOptions, variant: str
 ) -> list[tuple[ViewFeatures, bool]]:
     """Find the features of the real images of a survey, with their reference poses."""
-    images, found = open_survey(scenario), []
-    for index in range(len(images)):
-        seen = images.view(index)
-        view = replace(seen, camera=seen.camera.pinhole)
-        image = DatabaseImage(rectify(images.image(index), seen.camera), view, scenario, variant, from_store=False)
-        found.append((view_features(image.pixels, view, image.deproject, options), False))
-    return found
+    images = survey_images(scenario, variant)
+    return [(view_features(image.pixels, image.view, image.deproject, options), False) for image in images]
 
 
 def build_maplet_database(
     scenario: LoadedScenario, options: MapletOptions, folder: Path, jobs: int, variant: str
 ) -> None:
-    """Extract maplets from the scenario's believed shape and store them in ``folder``."""
-    del jobs, variant
-    build_maplets(load_body(scenario.spec.body, scenario.search_dirs).mesh, options).save(folder)
+    """Cut maplets out of the believed shape, painted with the images of a survey if asked, and store them."""
+    del jobs
+    mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
+    if options.source == "shape":
+        build_maplets(mesh, options).save(folder)
+        return
+    images = list(survey_images(scenario, variant))
+    places_m = mesh.corners_m.mean(axis=1)
+    wanted = np.any([seen(places_m, mesh.normals, image, options.spacing_m) for image in images], axis=0)
+    maplets = build_maplets(replace(mesh, albedo=None), options, wanted)
+    renderer = MitsubaRenderer(maplets.mesh(), scenario.spec.brdf, 4, "flat", choose_variant(variant))
+    paint(maplets, renderer, images).save(folder)
 
 
 PRODUCTS = {
@@ -169,7 +173,7 @@ PRODUCTS = {
     "maplets": ProductKind(
         options=MapletOptions,
         versions=lambda: [MAPLETS_VERSION],
-        announce=lambda options: f"{options.side} x {options.side} heights each",
+        announce=lambda options: f"{options.side} x {options.side} heights each, albedo of the {options.source}",
         build=build_maplet_database,
         load=MapletDatabase.load,
         about=lambda database: {

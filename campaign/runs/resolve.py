@@ -113,12 +113,17 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
                 f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
                 f" add the section, or leave the estimator out"
             )
-        database, images = entry.options.get("database"), scenario.spec.images
-        surveyed = isinstance(database, Mapping) and database.get("source") == "survey"
-        if surveyed and (images is None or not images.survey):
+        images = scenario.spec.images
+        if _surveyed(entry.options) and (images is None or not images.survey):
             raise BoresightError(
-                f"{scenario.path}: images.survey: names no images, but {entry.label} has database.source: survey"
+                f"{scenario.path}: images.survey: names no images, but {entry.label} has source: survey"
             )
+
+
+def _surveyed(options: Mapping[str, object]) -> bool:
+    """Whether a data base of an estimator, or of one that it builds on, is of the images of a survey."""
+    sections = [value for value in options.values() if isinstance(value, Mapping)]
+    return options.get("source") == "survey" or any(map(_surveyed, sections))
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:

@@ -112,7 +112,7 @@ class DescriptorNavigator:
             covariance=posterior.covariance + calibration,
             bound=posterior.bound,
             stages=(Stage("consensus", consensus), Stage("recognition", posterior.T_cam_body)),
-            diagnostics={"n_landmarks": len(posterior.d2), "scale2": posterior.scale2},
+            diagnostics={"n_landmarks": len(posterior.d2), **posterior.quality},
             timings_s=clock.seconds,
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,12 @@ _EDGE_TOLERANCE = 1e-9
 class MapletOptions(SpecModel):
     """Options of the maplets of a shape."""
 
+    source: Literal["shape", "survey"] = Field(
+        "shape",
+        exclude_if=lambda value: value == "shape",
+        description="Albedo of the maplets: the shape's, or that with which they look like the real images of the"
+        " scenario's images.survey; only places in these are then covered",
+    )
     spacing_m: float = length(2.4, "Between neighbouring heights", px=1.9, body=0.01, gt=0)
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
     seed: int | None = Field(None, ge=0, description="Seed of the first place; default: the farthest from the origin")
@@ -101,8 +107,10 @@ class Surface:
         return unit
 
 
-def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
-    """Cut maplets out of a shape so that they cover it.
+def build_maplets(
+    mesh: TriangleMesh, options: MapletOptions, wanted: NDArray[np.bool_] | None = None
+) -> MapletDatabase:
+    """Cut maplets out of a shape so that they cover it, or its ``wanted`` facets (F,).
 
     Candidates cover the surface at half the wanted separation. They are accepted in descending order of relief, unless
     an accepted one is too near (Poisson-disc sampling that prefers contrast); then others fill the gaps. Raise
@@ -110,13 +118,16 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     """
     surface = Surface(mesh)
     separation_m = options.separation * options.width_m
-    places = spread_points(surface.centroids_m, 0.5 * separation_m, options.seed)
+    facets = np.arange(len(mesh.faces)) if wanted is None else np.flatnonzero(wanted)
+    if not len(facets):
+        raise NoProductError("none of the facets that maplets should cover is in view")
+    places = facets[spread_points(surface.centroids_m[facets], 0.5 * separation_m, options.seed)]
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
     order = sorted(range(len(candidates)), key=lambda i: -strength[i])
     # Strong relief first: maplets with contrast are matched more accurately.
     taken = _separated(candidates.centres_m, order, separation_m)
-    taken += _gap_fillers(candidates, taken, surface)
+    taken += _gap_fillers(candidates, taken, surface, facets)
     chosen = candidates.subset(np.array(taken))
     if not len(chosen.mesh().faces):
         raise NoProductError(
@@ -235,7 +246,7 @@ def relief(heights_m: FloatArray, spacing_m: float) -> float:
     return float(np.sqrt((rest**2).sum(axis=1).mean()))
 
 
-def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletDatabase:
+def _cut(surface: Surface, places: IndexArray, options: MapletOptions) -> MapletDatabase:
     """Sample a maplet at each place whose central height is known."""
     planes = [_plane(surface, surface.centroids_m[place], options) for place in places]
     sampled = [(plane, *sample_heights(surface, plane)) for plane in planes]
@@ -274,10 +285,11 @@ def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> 
     return taken
 
 
-def _gap_fillers(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
-    """Choose further candidates, each covering the most facets not covered yet, until the gain is small."""
+def _gap_fillers(candidates: MapletDatabase, taken: list[int], surface: Surface, facets: IndexArray) -> list[int]:
+    """Choose further candidates, each covering the most ``facets`` not covered yet, until the gain is small."""
     covered = [_facets_on(candidates, index, surface) for index in range(len(candidates))]
-    uncovered = np.ones(len(surface.centroids_m), dtype=bool)
+    uncovered = np.zeros(len(surface.centroids_m), dtype=bool)
+    uncovered[facets] = True
     for index in taken:
         uncovered[covered[index]] = False
     rest = [index for index in range(len(candidates)) if index not in set(taken)]

@@ -275,5 +275,5 @@ def _diagnostics(result: MapletRecognition) -> dict[str, float | int | str]:
         "rounds": len(result.fits),
         "correlation": float(np.median(last.found.correlation)),
         "redundancy": float(last.found.shared.sum(axis=1).mean()),
-        "scale2": last.posterior.scale2,
+        **last.posterior.quality,
     }

@@ -118,7 +118,7 @@ class ImageSetSpec(SpecModel):
     survey: tuple[str, ...] = Field(
         (),
         exclude_if=lambda value: not value,
-        description="Images of the set that are for data bases of methods (database.source: survey), not for trials",
+        description="Images of the set that are for data bases of methods (source: survey), not for trials",
     )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
     keep_clear_px: tuple[Rectangle, ...] = Field(

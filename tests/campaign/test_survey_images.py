@@ -120,7 +120,7 @@ def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(pl
     [
         (IMAGES % ", survey: [7.png]", METHOD, r"images\.survey: no image is called 7\.png"),
         (IMAGES % ", survey: [0.png, 1.png, 2.png]", METHOD, r"images\.survey: no image remains"),
-        (IMAGES % "", METHOD, "images.survey: names no images, but landmark-sift has database.source: survey"),
+        (IMAGES % "", METHOD, "images.survey: names no images, but landmark-sift has source: survey"),
         (IMAGES % ", survey: [0.png, 0.png]", METHOD, "an image appears twice"),
         (IMAGES % SURVEY + "onboard: {focal_error: 0.001}\n", METHOD, "its images have the true camera"),
         (IMAGES % ", rendered: true, survey: [0.png]", METHOD, "images of a survey are real ones, not rendered"),

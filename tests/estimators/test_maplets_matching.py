@@ -215,7 +215,7 @@ def test_the_covariance_of_a_place_on_the_body_is_that_of_rays_that_meet_its_pla
     seen = seen_from_above(plates([[50.0, -60.0, 0.0], [-90.0, 30.0, 10.0]], turns))
     pixels = np.array([[[0.09, 0.03], [0.03, 0.04]], [[0.04, 0.0], [0.0, 0.16]]])
     matches = MapletMatches(np.arange(2), seen.windows.uv_px, pixels, np.ones(2), np.eye(2), 0.3)
-    fit = MapletFit(matches, Posterior(seen.T_cam_body, np.eye(6), np.eye(6), np.zeros(2), 2.0))
+    fit = MapletFit(matches, Posterior(seen.T_cam_body, np.eye(6), np.eye(6), np.zeros(2), 2.0, 0.0))
     position = seen.T_cam_body.camera_position_m
     for row, found in enumerate(surface_covariances(fit, seen.database, CAMERA)):
         anchor, normal = seen.database.anchors_m[row], seen.database.axes[row, 2]

@@ -65,7 +65,8 @@ class Posterior:
 
     ``covariance`` (6, 6) is that of its error, [rotation_rad, translation_m] in camera axes, and ``bound`` (6, 6) the
     Cramer-Rao bound: the covariance of the best estimator for Gaussian noise. ``d2`` (N,) are squared residuals,
-    weighted by the given covariances, and ``scale2`` is the estimated factor on those covariances.
+    weighted by the given covariances, and ``scale2`` is the estimated factor on those covariances. ``residual_px`` is
+    the RMS residual of a coordinate, over all points.
     """
 
     T_cam_body: Pose
@@ -73,6 +74,13 @@ class Posterior:
     bound: FloatArray
     d2: FloatArray
     scale2: float
+    residual_px: float
+
+    @property
+    def quality(self) -> dict[str, float]:
+        """How well the points fit, for diagnostics: see the attributes; ``chi2_dof`` is for the given covariances."""
+        chi2_dof = float(self.d2.sum()) / max(1, 2 * len(self.d2) - 6)
+        return {"scale2": self.scale2, "residual_px": self.residual_px, "chi2_dof": chi2_dof}
 
 
 def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: FloatArray) -> Posterior:
@@ -111,7 +119,8 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
     influence, slope = _moments(d2 / scale2, independent)
     scatter = influence / (scale2 * redundancy**2) * _scores_covariance(problem.information_px2, jacobian, shared)
     gain = np.linalg.inv(slope * best + known)
-    return Posterior(pose, gain @ (scatter + known) @ gain, np.linalg.inv(best + known), d2, scale2)
+    covariance, bound = gain @ (scatter + known) @ gain, np.linalg.inv(best + known)
+    return Posterior(pose, covariance, bound, d2, scale2, float(np.sqrt((residuals**2).mean())))
 
 
 def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
