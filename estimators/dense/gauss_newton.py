@@ -33,6 +33,9 @@ _DARK = 1e-3
 _MARGIN_PX = 5
 # Without a limb around it a body is drawn by the law of reflectance, which is wrong, to where its mean brightness fits.
 _CUT_BACKGROUND_PX = 6.0
+# A detector is full where so many of the lit pixels lie so near to the brightest, and so many times more than below.
+_FULL_SHARE, _FULL_LEVEL, _FULL_TIMES = 0.05, 0.97, 3.0
+_UNSATURATED, _UNSATURATED_PX = 0.9, 100
 # Derivatives are recomputed after the body has moved farther than this, in pixels of the level.
 _STALE_PX = 0.5
 
@@ -140,7 +143,8 @@ def fit_level(
     The observed image is modelled as gain x rendering; the gain is a seventh parameter, so that the result does not
     depend on the image's unit. Derivatives are those of `linearised`, reused while the body hardly moves. Residuals
     have Huber weights with a robust sigma. As they come from errors of the shape rather than from noise,
-    ``independent_px`` neighbouring pixels count as one observation.
+    ``independent_px`` neighbouring pixels count as one observation. Where the detector is full, see `saturation`, the
+    rendering is cut at the same level, and has no derivative.
 
     ``observed`` (H, W) is a signal of background 0, and ``size_m`` the radius of the body, which converts rotations to
     motions of its surface.
@@ -148,7 +152,8 @@ def fit_level(
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
     gradient = available_gradient(options.gradient, view.renderer)
-    target = band_pass(reduced_image(observed, level.reduction), level)
+    bright = reduced_image(observed, level.reduction)
+    target, full = band_pass(bright, level), saturation(observed)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
@@ -157,13 +162,14 @@ def fit_level(
         # enough.
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
+            derivatives = np.where(image < _ceiling(bright, image, full), derivatives, np.float32(0.0))
             # Where a derivative is not finite the residual cannot be used either.
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
             jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)
         usable = sound & np.isfinite(image)
-        rendered = band_pass(_finite(image), level)
+        rendered = band_pass(np.minimum(_finite(image), _ceiling(bright, image, full)), level)
         if not rendered.any():
             return LevelFit(pose, prior.information, float("nan"), count)
         lit = _compared(target, rendered)
@@ -185,6 +191,29 @@ def fit_level(
     if fit is None:
         raise ValueError("a level has at least one iteration")
     return fit
+
+
+def saturation(observed: Image) -> float:
+    """Return the level of a signal (H, W) of background 0 at which the detector is full; infinite if it is not.
+
+    Read noise scatters full pixels, so that the level is their median.
+    """
+    lit = observed[observed > 0.0]
+    if not len(lit):
+        return np.inf
+    top = float(np.percentile(lit, 99.9))
+    full, below = lit > _FULL_LEVEL * top, lit > (2.0 * _FULL_LEVEL - 1.0) * top
+    # Smooth ground that faces the Sun is about as bright over many pixels too, but fades gradually.
+    piled = full.mean() > max(_FULL_SHARE, _FULL_TIMES * (below.mean() - full.mean()))
+    return float(np.median(lit[full])) if piled else np.inf
+
+
+def _ceiling(bright: Image, rendered: Image, full: float) -> np.float32:
+    """Return the level of the rendering at which the detector is full, by the pixels that are not."""
+    below = (bright > _DARK * full) & (bright < _UNSATURATED * full) & (rendered > 0.0)
+    if not np.isfinite(full) or np.count_nonzero(below) < _UNSATURATED_PX:
+        return np.float32(np.inf)
+    return np.float32(full / np.median(bright[below] / rendered[below]))
 
 
 def available_gradient(wanted: Gradient | None, renderer: ImageRenderer) -> Gradient:

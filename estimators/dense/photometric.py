@@ -55,7 +55,7 @@ class PhotometricEstimator:
     """Registers renderings of the onboard shape with the image, from coarse to fine, maximum a posteriori.
 
     Gauss-Newton steps minimise the difference of both band-passed images, with Huber's loss and the prior. The
-    derivatives are those of the renderer, or differences of renderings.
+    derivatives are those of the renderer, or differences of renderings. Renderings are cut where the detector is full.
 
     Use it when
     -----------
@@ -77,7 +77,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -189,7 +189,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = WholeImageOptions
 
     @classmethod

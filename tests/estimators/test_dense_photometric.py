@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.estimators.contract import Estimate, Stopwatch
+from boresight.estimators.dense import gauss_newton
 from boresight.estimators.dense.gauss_newton import (
     LevelOptions,
     available_gradient,
@@ -13,6 +14,7 @@ from boresight.estimators.dense.gauss_newton import (
     inverse,
     reduced_camera,
     reduced_image,
+    saturation,
 )
 from boresight.estimators.dense.photometric import PhotometricEstimator, PhotometricOptions, registration_aligner
 from boresight.estimators.landmark.alignment import MeshView
@@ -111,6 +113,21 @@ class Holed:
 @pytest.mark.skipif(
     not choose_variant().is_wavefront, reason="the Mitsuba variant of this machine gives no derivatives"
 )
+def test_a_full_detector_moves_the_pose_little(renderer, image, monkeypatch):
+    """Half of the lit pixels are full, and scatter by the read noise."""
+    level = np.median(image[image > 0.0])
+    noise = np.random.default_rng(4).normal(0.0, 0.003 * level, image.shape)
+    clipped = np.where(image > 0.0, np.minimum(image, level) + noise, 0.0).astype(np.float32)
+    assert saturation(clipped) == pytest.approx(level, rel=2e-3)
+    # A ball with the Sun behind the camera: 5.9 % of it has a cosine above 0.97, and fades gradually.
+    v, u = np.mgrid[-1:1:400j, -1:1:400j]
+    assert saturation(np.sqrt(np.maximum(1.0 - u**2 - v**2, 0.0)).astype(np.float32)) == np.inf
+    found = [errors(estimate(renderer, frame(clipped, seed)).pose)[1] for seed in range(3)]
+    monkeypatch.setattr(gauss_newton, "saturation", lambda observed: np.inf)
+    ignored = [errors(estimate(renderer, frame(clipped, seed)).pose)[1] for seed in range(3)]
+    assert max(found) < 0.2 * min(ignored)
+
+
 def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image, plain):
     found = estimate(Holed(renderer), frame(image))
     assert found.status == "ok"
