@@ -9,6 +9,7 @@ import pandas as pd
 
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.data.crater_pictures import (
+    LARGE_PX,
     OPTIONS,
     PICTURES,
     RADIUS_MIN_PX,
@@ -69,8 +70,10 @@ def craters_real_command(arguments: argparse.Namespace) -> int:
             f" found, {int((label == -1).sum())} of {matches.large[np.concatenate(kept)].sum()} detections of that size"
             f" false; {label_quality(matches)}"
         )
-        chosen = {"detector": detector.name, "set": arguments.set}
-        tables.append(score_table(matches).assign(ground=ground, images=len(parts), **chosen))
+        large = LabelMatches.joined([found.matches(LARGE_PX) for found in pictures])
+        for least_px, scored in ((RADIUS_MIN_PX, matches), (LARGE_PX, large)):
+            told = {"least_px": least_px, "detector": detector.name, "set": arguments.set}
+            tables.append(score_table(scored).assign(ground=ground, images=len(parts), **told))
     scores = pd.concat(tables).round(4)
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)

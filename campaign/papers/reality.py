@@ -185,8 +185,10 @@ def _craters(found: Mapping[str, FinishedRun]) -> list[Grid]:
     del found
     try:
         scores = pd.read_csv(SCORES)
-        recall = scores[scores["labels"] == "all"].set_index("ground")["recall_10"]
-        rendered = float(recall["rendered"])
+        rows_of = scores[scores["labels"] == "all"]
+        keys = zip(rows_of["least_px"].astype(float), rows_of["ground"].astype(str), strict=True)
+        recall = dict(zip(keys, rows_of["recall_10"].astype(float), strict=True))
+        rendered = {least_px: recall[least_px, "rendered"] for least_px, _ in recall}
         (detector,), (chosen,) = scores["detector"].unique(), scores["set"].unique()
     except FileNotFoundError:
         raise BoresightError(f"craters: no {SCORES}: to make it: boresight craters-real") from None
@@ -194,16 +196,17 @@ def _craters(found: Mapping[str, FinishedRun]) -> list[Grid]:
         raise BoresightError(f"{SCORES}: cannot be read: {error}: boresight craters-real makes it again") from error
     rows = [
         {
-            "ground": str(ground),
-            "recall": number(float(value)),
-            "recall, rendered": number(rendered),
-            "ratio": number(float(value) / rendered),
+            "ground": ground,
+            "labels from, px radius": number(least_px),
+            "recall": number(value),
+            "recall, rendered": number(rendered[least_px]),
+            "ratio": number(value / rendered[least_px]),
         }
-        for ground, value in recall.items()
+        for (least_px, ground), value in recall.items()
         if ground != "rendered"
     ]
     title = f"Craters found at 10 % false detections: {detector}, images of the Moon for {chosen}"
-    return [row_grid(title, rows, ("ground",), _RECALL)]
+    return [row_grid(title, rows, ("ground", "labels from, px radius"), _RECALL)]
 
 
 def _levels(run: RunData) -> list[str]:

@@ -154,12 +154,20 @@ def test_craters_are_those_of_the_stored_scores(tmp_path, monkeypatch):
     with pytest.raises(BoresightError, match="to make it: boresight craters-real"):
         PAPER.tables[1]({})
     SCORES.parent.mkdir(parents=True)
-    lines = ["all,0.3,moon", "isolated,0.5,moon", "all,0.4,mars", "all,0.8,rendered"]
+    lines = ["all,0.3,moon,4", "isolated,0.5,moon,4", "all,0.4,mars,4", "all,0.8,rendered,4"]
+    lines += ["all,0.6,moon,10", "all,0.7,mars,10", "all,1.0,rendered,10"]
     told = "".join(f"{line},crater-learned,choices\n" for line in lines)
-    SCORES.write_text(f"labels,recall_10,ground,detector,set\n{told}")
+    SCORES.write_text(f"labels,recall_10,ground,least_px,detector,set\n{told}")
     (grid,) = PAPER.tables[1]({})
     assert grid.title.endswith("crater-learned, images of the Moon for choices")
-    assert grid.rows == (("moon", "0.300", "0.800", "0.375"), ("mars", "0.400", "0.800", "0.500"))
+    assert grid.columns[1] == "labels from, px radius"
+    assert [row[0] for row in grid.rows] == ["moon", "mars", "moon", "mars"]
+    assert [[float(cell) for cell in row[1:]] for row in grid.rows] == [
+        [4.0, 0.3, 0.8, 0.375],
+        [4.0, 0.4, 0.8, 0.5],
+        [10.0, 0.6, 1.0, 0.6],
+        [10.0, 0.7, 1.0, 0.7],
+    ]
     SCORES.write_text("labels,recall_10\nall,0.3\n")
     with pytest.raises(BoresightError, match=r"scores\.csv: cannot be read"):
         PAPER.tables[1]({})
