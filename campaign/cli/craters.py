@@ -73,7 +73,7 @@ def craters_real_command(arguments: argparse.Namespace) -> int:
         large = LabelMatches.joined([found.matches(LARGE_PX) for found in pictures])
         for least_px, scored in ((RADIUS_MIN_PX, matches), (LARGE_PX, large)):
             told = {"least_px": least_px, "detector": detector.name, "set": arguments.set}
-            tables.append(score_table(scored).assign(ground=ground, images=len(parts), **told))
+            tables.append(score_table(scored, least_px).assign(ground=ground, images=len(parts), **told))
     scores = pd.concat(tables).round(4)
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)

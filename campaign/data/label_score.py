@@ -135,11 +135,14 @@ def recall_at(matches: LabelMatches, false_share: float, chosen: BoolArray | Non
     return float(chosen[found[found >= 0]].sum() / max(chosen.sum(), 1)), float(confidence[allowed[-1]])
 
 
-def score_table(matches: LabelMatches) -> pd.DataFrame:
-    """Tabulate the recall at shares of false alarms: of all labels, by radius, by contrast and of isolated ones."""
+def score_table(matches: LabelMatches, least_px: float = SIZES_PX[0]) -> pd.DataFrame:
+    """Tabulate the recall at shares of false alarms: of all labels, by radius, by contrast and of isolated ones.
+
+    ``least_px`` is the least radius of the labels that were matched.
+    """
     n = len(matches.radius_px)
     groups: list[tuple[str, BoolArray]] = [("all", np.ones(n, dtype=bool)), ("isolated", matches.isolated)]
-    for low, high in pairwise(SIZES_PX):
+    for low, high in pairwise((least_px, *(size for size in SIZES_PX if size > least_px))):
         name = f"radius {low:g} to {high:g} px" if np.isfinite(high) else f"radius from {low:g} px"
         groups.append((name, (matches.radius_px >= low) & (matches.radius_px < high)))
     thirds = np.nanquantile(matches.contrast, [1 / 3, 2 / 3]) if n else np.zeros(2)

@@ -162,7 +162,8 @@ def fit_level(
         # enough.
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
-            derivatives = np.where(image < _ceiling(bright, image, full), derivatives, np.float32(0.0))
+            # What is not finite stays, to be left out below.
+            derivatives = np.where(image >= _ceiling(bright, image, full), np.float32(0.0), derivatives)
             # Where a derivative is not finite the residual cannot be used either.
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
             jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
@@ -194,9 +195,11 @@ def fit_level(
 
 
 def saturation(observed: Image) -> float:
-    """Return the level of a signal (H, W) of background 0 at which the detector is full; infinite if it is not.
+    """Return the level of a signal (H, W) of background 0 at which the detector is full; infinite if few pixels are.
 
-    Read noise scatters full pixels, so that the level is their median.
+    Read noise scatters full pixels, so that the level is their median. Up to a tenth of the lit pixels may be full and
+    not be noticed. Ground that is flat and of one brightness, as with the Sun behind the camera, and images of a dozen
+    grey levels are taken for full; what is then cut has no shape to be fitted.
     """
     lit = observed[observed > 0.0]
     if not len(lit):

@@ -72,9 +72,13 @@ def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
     blocks = [image[r, c] for r in (slice(rows), slice(-rows, None)) for c in (slice(columns), slice(-columns, None))]
     medians = [float(np.median(block)) for block in blocks]
     # A corner that the body covers is brighter than the sky.
-    darkest = int(np.argmin(medians))
-    level = medians[darkest]
-    return level, float(_MAD_TO_SIGMA * np.median(np.abs(blocks[darkest] - level)))
+    return background_of(blocks[int(np.argmin(medians))])
+
+
+def background_of(sky: NDArray[np.float32]) -> tuple[float, float]:
+    """Level and standard deviation of pixels of the sky: the median and the scaled median absolute deviation."""
+    level = float(np.median(sky))
+    return level, float(_MAD_TO_SIGMA * np.median(np.abs(sky - level)))
 
 
 def _observed_sky(image: NDArray[np.float32]) -> tuple[float, float]:

@@ -120,7 +120,9 @@ def build_maplets(
     separation_m = options.separation * options.width_m
     facets = np.arange(len(mesh.faces)) if wanted is None else np.flatnonzero(wanted)
     if not len(facets):
-        raise NoProductError("none of the facets that maplets should cover is in view")
+        raise NoProductError(
+            "the images show the middle of no facet at less than 70 deg from its normal: give smaller facets"
+        )
     places = facets[spread_points(surface.centroids_m[facets], 0.5 * separation_m, options.seed)]
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from boresight.estimators.contract import ImageRenderer, NoProductError
-from boresight.estimators.landmark.signal import extract_signal
+from boresight.estimators.landmark.signal import KNOWN_SKY, background_of, extract_signal
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import View
@@ -19,6 +19,7 @@ from boresight.scenarios.geometry import View
 _FACING_MIN = np.cos(np.radians(70.0))
 # Share of the greatest brightness: darker places are in shadow or near the terminator, where the ratio is noise.
 _LIT_MIN = 0.1
+_SKY_STEP_PX, _SKY_PIXELS = 8, 16
 _ALBEDO_MIN, _ALBEDO_MAX = 0.05, 4.0
 
 
@@ -59,9 +60,10 @@ def paint(maplets: MapletDatabase, renderer: ImageRenderer, images: Sequence[Pos
     """Return maplets with the albedo that the images show, 1 where none shows a node.
 
     ``renderer`` draws the mesh of ``maplets`` with an albedo of 1. At each node the albedo is the mean over the images
-    of observed over rendered brightness, each image scaled so that its median ratio is 1. It takes up the shading of
-    relief that the shape lacks, so that it holds for a Sun like that of the images. Raise NoProductError if none of the
-    images shows a lit part of the maplets.
+    of observed over rendered brightness, each image scaled so that its median ratio is 1; an image that shows half of
+    its nodes black is left out. The background is that beside the body, 0 where the body fills the frame. Albedo takes
+    up the shading of relief that the shape lacks, so that it holds for a Sun like that of the images. Raise
+    NoProductError if none of the images shows a lit part of the maplets.
     """
     points_m = maplets.nodes_m.reshape(-1, 3)
     known = np.flatnonzero(np.isfinite(points_m).all(axis=1))
@@ -75,13 +77,27 @@ def paint(maplets: MapletDatabase, renderer: ImageRenderer, images: Sequence[Pos
         lit = expected > _LIT_MIN * float(rendered.max())
         if not lit.any():
             continue
-        ratio = _sampled(extract_signal(image.pixels).image, uv_px[lit]) / expected[lit]
-        total[nodes[lit]] += ratio / np.median(ratio)
+        ratio = _sampled(extract_signal(image.pixels, _sky(image)).image, uv_px[lit]) / expected[lit]
+        middle = float(np.median(ratio))
+        if not middle > 0.0:
+            continue
+        total[nodes[lit]] += ratio / middle
         count[nodes[lit]] += 1.0
     if not count.any():
         raise NoProductError("no image of the survey shows a lit part of the maplets: name others in images.survey")
     albedo = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
     return replace(maplets, albedo=np.clip(albedo, _ALBEDO_MIN, _ALBEDO_MAX).reshape(maplets.heights_m.shape))
+
+
+def _sky(image: PosedImage) -> tuple[float, float]:
+    """Level and standard deviation of the background, by a grid of the pixels beside the body."""
+    height, width = image.pixels.shape
+    rows, columns = np.mgrid[:height:_SKY_STEP_PX, :width:_SKY_STEP_PX]
+    uv_px = np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5
+    beside = ~np.isfinite(image.deproject(uv_px)).all(axis=1)
+    if np.count_nonzero(beside) < _SKY_PIXELS:
+        return KNOWN_SKY
+    return background_of(image.pixels[rows.ravel()[beside], columns.ravel()[beside]])
 
 
 def _sampled(image: Image, uv_px: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from boresight.campaign.products import BuiltAssets
 from boresight.campaign.products.assets import product_key
 from boresight.campaign.store import RunFolder
 from boresight.estimators.descriptors.database import DescriptorDatabase, DescriptorOptions
+from boresight.estimators.maplets.build import MapletOptions
 from boresight.renderers.images import PosedImageSet
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
@@ -30,6 +31,8 @@ PRIOR = (
     "pose_error: {position_cam_m: {normal: [10, 10, 10]}, attitude: {rotation_vector_deg: {normal: [0.1, 0.1, 0.1]}}}\n"
 )
 METHOD = "landmark-sift: {database: {source: survey}}"
+MAPLETS = "lmaps: {maplets: {source: survey, spacing_m: 4, side: 25}, matching: {height_sigma_m: 1}}"
+TUNED = "tuned: {base: lmaps, options: {maplets: {source: survey}}}"
 POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
 
@@ -87,25 +90,28 @@ def test_features_of_a_survey_lie_where_opencv_projects_their_points(place):
         assert np.median(nearest) < 0.05
 
 
-def test_trials_have_the_other_images_and_are_solved_by_those_of_the_survey(place):
-    compute(campaign(place, IMAGES % SURVEY), place / "run", 2)
+@pytest.mark.parametrize("method", [METHOD, MAPLETS])
+def test_trials_have_the_other_images_and_are_solved_by_those_of_the_survey(place, method):
+    compute(campaign(place, IMAGES % SURVEY, method), place / "run", 2)
     rows = RunFolder(place / "run").table("rows")
     assert set(rows["image"]) == {"1.png"}
-    own = rows[rows["estimator"] == "landmark-sift"]
+    own = rows[rows["estimator"] == method.partition(":")[0]]
     assert (own["status"] == "ok").all()
     # Features are found to a pixel, 2.5 m, and the attitude of the prior is good to 0.1 deg, 3.5 m.
     assert (own["position_error_m"] < 10.0).all()
 
 
-def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(place):
+FEATURES = {"survey": DescriptorOptions(kind="sift", source="survey"), "own": DescriptorOptions(kind="sift")}
+CUT = {"survey": MapletOptions(source="survey"), "own": MapletOptions()}
+
+
+@pytest.mark.parametrize(("kind", "options"), [("descriptors", FEATURES), ("maplets", CUT)])
+def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(place, kind, options):
     variant = choose_variant().name
 
     def keys(images):
         loaded = scene(place, images)
-        return [
-            product_key(loaded, "descriptors", DescriptorOptions(kind="sift", source=source), variant)
-            for source in ("survey", "rendered")
-        ]
+        return [product_key(loaded, kind, options[source], variant) for source in ("survey", "own")]
 
     before = keys(IMAGES % SURVEY)
     assert before[0] != keys(IMAGES % ", survey: [1.png, 2.png]")[0]
@@ -121,6 +127,8 @@ def test_the_images_of_the_survey_change_the_product_and_rendered_ones_do_not(pl
         (IMAGES % ", survey: [7.png]", METHOD, r"images\.survey: no image is called 7\.png"),
         (IMAGES % ", survey: [0.png, 1.png, 2.png]", METHOD, r"images\.survey: no image remains"),
         (IMAGES % "", METHOD, "images.survey: names no images, but landmark-sift has source: survey"),
+        (IMAGES % "", MAPLETS, "images.survey: names no images, but lmaps has source: survey"),
+        (IMAGES % "", TUNED, "images.survey: names no images, but tuned has source: survey"),
         (IMAGES % ", survey: [0.png, 0.png]", METHOD, "an image appears twice"),
         (IMAGES % SURVEY + "onboard: {focal_error: 0.001}\n", METHOD, "its images have the true camera"),
         (IMAGES % ", rendered: true, survey: [0.png]", METHOD, "images of a survey are real ones, not rendered"),

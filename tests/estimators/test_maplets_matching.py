@@ -1,5 +1,6 @@
 """Displacements of windows against shifts that are known, their covariances against scatter, and the pose from them."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
@@ -261,6 +262,12 @@ def test_the_offset_of_a_pose_is_its_perturbation():
 def test_the_solution_maximises_the_posterior():
     problem, prior = scene(np.random.default_rng(4))
     found = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
+    turn = cv2.Rodrigues(found.T_cam_body.rotation)[0]
+    seen = cv2.projectPoints(problem.points_body_m, turn, found.T_cam_body.translation_m, CAMERA.matrix, None)[0][:, 0]
+    off = problem.uv_px - seen
+    assert found.quality["residual_px"] == pytest.approx(np.sqrt((off**2).mean()), rel=1e-6)
+    squares = sum(row @ w @ row for row, w in zip(off, problem.information_px2, strict=True))
+    assert found.quality["chi2_dof"] == pytest.approx(squares / (2 * 40 - 6), rel=1e-6)
     scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
     white = np.linalg.cholesky(np.swapaxes(problem.information_px2, 1, 2) / found.scale2)
 

@@ -44,12 +44,12 @@ class Drawn:
     def pixels(self):
         v, u = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
         points = self.deproject(np.stack([u.ravel(), v.ravel()], axis=1))
-        value = albedo(points) * np.maximum(points @ SUN / RADIUS_M, 0.0)
+        value = albedo(points) * np.maximum(points @ self.view.sun_dir_body / RADIUS_M, 0.0)
         return (self.exposure * np.nan_to_num(value)).reshape(v.shape).astype(np.float32)
 
 
-def drawn(x, y, z, exposure=1.0):
-    return Drawn(View(CAMERA, look_at(RANGE_M * np.array([x, y, z]), np.zeros(3)), SUN), exposure)
+def drawn(x, y, z, exposure=1.0, range_m=RANGE_M, sun=SUN):
+    return Drawn(View(CAMERA, look_at(range_m * np.array([x, y, z]), np.zeros(3)), sun), exposure)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,37 @@ def test_the_albedo_is_that_of_the_ground_whatever_the_exposure(mesh):
     assert (values[nodes[:, 0] < -0.3 * RADIUS_M] == 1.0).all()
 
 
+def test_ground_that_fills_the_frame_is_not_taken_for_sky(mesh):
+    image = drawn(1.0, 0.0, 0.0, range_m=280.0, sun=np.array([1.0, 0.0, 0.0]))
+    assert image.pixels[::299, ::299].min() > 0.3 * image.pixels.max()
+    found = painted(mesh, [image])
+    nodes, values = found.nodes_m.reshape(-1, 3), found.albedo.reshape(-1)
+    shown = values != 1.0
+    ratio = values[shown] / albedo(nodes[shown])
+    assert shown.sum() > 3000
+    assert np.std(ratio / np.median(ratio)) < 0.03
+
+
+def test_the_background_beside_the_body_is_taken_off(mesh):
+    image = drawn(1.0, 0.0, 0.0)
+
+    class Raised(Drawn):
+        @property
+        def pixels(self):
+            return super().pixels + np.float32(0.4)
+
+    plain, raised = painted(mesh, [image]), painted(mesh, [Raised(image.view)])
+    np.testing.assert_allclose(raised.albedo, plain.albedo, atol=0.02)
+
+
+def test_a_black_image_paints_nothing(mesh):
+    image = drawn(1.0, 0.0, 0.0)
+    black = drawn(1.0, 0.0, 0.0, exposure=0.0)
+    np.testing.assert_array_equal(painted(mesh, [image, black]).albedo, painted(mesh, [image]).albedo)
+    with pytest.raises(NoProductError, match="no image of the survey shows a lit part"):
+        painted(mesh, [black])
+
+
 def test_points_are_seen_in_the_image_before_the_limb_and_not_behind_the_body(mesh):
     image = drawn(1.0, 0.0, 0.0)
     angle = np.radians([0.0, 40.0, 68.0, 180.0])
@@ -101,7 +132,7 @@ def test_maplets_cover_what_is_wanted(mesh):
 
 
 def test_images_that_show_nothing_make_no_maplets(mesh):
-    with pytest.raises(NoProductError, match="none of the facets"):
+    with pytest.raises(NoProductError, match="the middle of no facet"):
         build_maplets(mesh, MapletOptions(), np.zeros(len(mesh.faces), dtype=bool))
     night = Drawn(View(CAMERA, look_at(RANGE_M * -SUN, np.zeros(3)), SUN))
     with pytest.raises(NoProductError, match="no image of the survey shows a lit part"):

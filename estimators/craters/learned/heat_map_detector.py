@@ -62,7 +62,7 @@ class HeatMapOptions(VerifierOptions):
         0.93,
         ge=0.0,
         lt=1.0,
-        description="Least probability of a crater: with 3 % of false alarms on rendered ground, 15 % on the Moon.",
+        description="Least probability of a crater: with 2 % of false alarms on rendered ground, 14 % on the Moon.",
     )
 
 
@@ -86,9 +86,9 @@ class CraterHeatMap:
     It fails when
     -------------
     The image is refused as by ``crater-classic``, or has a side below 48 pixels. Of its detections 2 % are false in
-    rendered images and 19 % in those of the Moon, where many craters have no label (docs/papers/craters-real.md): raise
-    ``confidence_min`` where fewer are needed. Rims of rendered images lie 0.353 px off
-    (median of 155 in 7 images), those of ``crater-learned`` 0.319 px (of 150).
+    rendered images and 14 and 19 % in two sets of the Moon, where many craters have no label
+    (docs/papers/craters-real.md): raise ``confidence_min`` where fewer are needed. Of version 1, rims of rendered
+    images lie 0.353 px off (median of 155 in 7 images), those of ``crater-learned`` 0.319 px (of 150).
 
     Cost
     ----
@@ -129,7 +129,7 @@ class CraterHeatMap:
         seen = rims_from_outputs(seen, outputs[:, 1:], source.sun_px)
         merit = steepest_walls(seen, picture, 0, ClassicOptions())[1]
         rows = each_once(seen, log_odds(outputs[:, 0], logit, merit), picture, o)
-        # Rims are judged and placed best from nearby, and few are left: once more.
+        # The network judges and places rims best from nearby, and few are left: once more.
         outputs = outputs_of(source, seen[rows], o.mirror)
         seen = rims_from_outputs(seen[rows], outputs[:, 1:], source.sun_px)
         odds = log_odds(outputs[:, 0], logit[rows], merit[rows])
