@@ -161,13 +161,12 @@ def test_craters_are_those_of_the_stored_scores(tmp_path, monkeypatch):
     (grid,) = PAPER.tables[1]({})
     assert grid.title.endswith("crater-learned, images of the Moon for choices")
     assert grid.columns[1] == "labels from, px radius"
-    assert [row[0] for row in grid.rows] == ["moon", "mars", "moon", "mars"]
-    assert [[float(cell) for cell in row[1:]] for row in grid.rows] == [
-        [4.0, 0.3, 0.8, 0.375],
-        [4.0, 0.4, 0.8, 0.5],
-        [10.0, 0.6, 1.0, 0.6],
-        [10.0, 0.7, 1.0, 0.7],
-    ]
+    assert grid.rows == (
+        ("moon", "4.00", "0.300", "0.800", "0.375"),
+        ("mars", "4.00", "0.400", "0.800", "0.500"),
+        ("moon", "10.0", "0.600", "1.00", "0.600"),
+        ("mars", "10.0", "0.700", "1.00", "0.700"),
+    )
     SCORES.write_text("labels,recall_10\nall,0.3\n")
     with pytest.raises(BoresightError, match=r"scores\.csv: cannot be read"):
         PAPER.tables[1]({})
