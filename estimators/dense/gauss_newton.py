@@ -135,7 +135,7 @@ class LevelFit:
 
 
 def fit_level(
-    observed: Image, start: Pose, view: MeshView, prior: PosePrior, size_m: float, level: LevelOptions,
+    observed: Image, full: float, start: Pose, view: MeshView, prior: PosePrior, size_m: float, level: LevelOptions,
     options: RegistrationOptions,
 ) -> LevelFit:  # fmt: skip
     """Fit the pose at one level of the pyramid.
@@ -143,17 +143,17 @@ def fit_level(
     The observed image is modelled as gain x rendering; the gain is a seventh parameter, so that the result does not
     depend on the image's unit. Derivatives are those of `linearised`, reused while the body hardly moves. Residuals
     have Huber weights with a robust sigma. As they come from errors of the shape rather than from noise,
-    ``independent_px`` neighbouring pixels count as one observation. Where the detector is full, see `saturation`, the
-    rendering is cut at the same level, and has no derivative.
+    ``independent_px`` neighbouring pixels count as one observation. Where the detector is full, the rendering
+    is cut at the same level, and has no derivative.
 
-    ``observed`` (H, W) is a signal of background 0, and ``size_m`` the radius of the body, which converts rotations to
-    motions of its surface.
+    ``observed`` (H, W) is a signal of background 0, ``full`` its level from `saturation`, and ``size_m`` the radius of
+    the body, which converts rotations to motions of its surface.
     """
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
     gradient = available_gradient(options.gradient, view.renderer)
     bright = reduced_image(observed, level.reduction)
-    target, full = band_pass(bright, level), saturation(observed)
+    target = band_pass(bright, level)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
@@ -162,15 +162,18 @@ def fit_level(
         # enough.
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
-            # What is not finite stays, to be left out below.
-            derivatives = np.where(image >= _ceiling(bright, image, full), np.float32(0.0), derivatives)
+            ceiling = _ceiling(bright, image, full)
+            if np.isfinite(ceiling):
+                # What is not finite stays, to be left out below.
+                derivatives = np.where(image >= ceiling, np.float32(0.0), derivatives)
             # Where a derivative is not finite the residual cannot be used either.
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
             jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)
+            ceiling = _ceiling(bright, image, full)
         usable = sound & np.isfinite(image)
-        rendered = band_pass(np.minimum(_finite(image), _ceiling(bright, image, full)), level)
+        rendered = band_pass(np.minimum(_finite(image), ceiling), level)
         if not rendered.any():
             return LevelFit(pose, prior.information, float("nan"), count)
         lit = _compared(target, rendered)
@@ -366,13 +369,14 @@ def register(
     # The prior is that of the frame, not shifted: the shift comes from the same image.
     prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
     fits: list[LevelFit] = []
+    full = saturation(observed)
     default_px = _CUT_BACKGROUND_PX if is_cut(observed) else 0.0
     for wanted in options.levels:
         own_px = wanted.background_px
         level = wanted.model_copy(update={"background_px": default_px if own_px is None else own_px})
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
-            fits.append(fit_level(observed, begin, view, prior, size_m, level, options))
+            fits.append(fit_level(observed, full, begin, view, prior, size_m, level, options))
         if not np.isfinite(fits[-1].correlation):
             break
     return Registration(shift, tuple(fits), _failure(fits[-1].correlation, options.correlation_min))
