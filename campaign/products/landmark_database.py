@@ -31,7 +31,7 @@ from boresight.estimators.landmark.database import (
     extract_candidates,
 )
 from boresight.estimators.maplets.build import METHOD_VERSION as MAPLETS_VERSION
-from boresight.estimators.maplets.build import MapletOptions, build_maplets
+from boresight.estimators.maplets.build import MapletOptions, Surface, build_maplets
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.paint import paint, seen
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -146,8 +146,8 @@ def build_maplet_database(
         build_maplets(mesh, options).save(folder)
         return
     images = list(survey_images(scenario, variant))
-    places_m = mesh.corners_m.mean(axis=1)
-    wanted = np.any([seen(places_m, mesh.normals, image, options.spacing_m) for image in images], axis=0)
+    middles_m = Surface(mesh).centroids_m
+    wanted = np.any([seen(middles_m, mesh.normals, image, options.spacing_m) for image in images], axis=0)
     maplets = build_maplets(replace(mesh, albedo=None), options, wanted)
     renderer = MitsubaRenderer(maplets.mesh(), scenario.spec.brdf, 4, "flat", choose_variant(variant))
     paint(maplets, renderer, images).save(folder)

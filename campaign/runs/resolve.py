@@ -121,7 +121,7 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
 
 
 def _surveyed(options: Mapping[str, object]) -> bool:
-    """Whether a data base of an estimator, or of one that it builds on, is of the images of a survey."""
+    """Say whether an estimator, or one that it builds on, has a data base made from the images of a survey."""
     sections = [value for value in options.values() if isinstance(value, Mapping)]
     return options.get("source") == "survey" or any(map(_surveyed, sections))
 

@@ -61,8 +61,8 @@ def paint(maplets: MapletDatabase, renderer: ImageRenderer, images: Sequence[Pos
 
     ``renderer`` draws the mesh of ``maplets`` with an albedo of 1. At each node the albedo is the mean over the images
     of observed over rendered brightness, each image scaled so that its median ratio is 1; an image that shows half of
-    its nodes black is left out. The background is that beside the body, 0 where the body fills the frame. Albedo takes
-    up the shading of relief that the shape lacks, so that it holds for a Sun like that of the images. Raise
+    its nodes black is left out. The sky is measured beside the body; it is 0 where the body fills the frame. Albedo
+    takes up the shading of relief that the shape lacks, so that it holds for a Sun like that of the images. Raise
     NoProductError if none of the images shows a lit part of the maplets.
     """
     points_m = maplets.nodes_m.reshape(-1, 3)
@@ -90,14 +90,14 @@ def paint(maplets: MapletDatabase, renderer: ImageRenderer, images: Sequence[Pos
 
 
 def _sky(image: PosedImage) -> tuple[float, float]:
-    """Level and standard deviation of the background, by a grid of the pixels beside the body."""
+    """Level and standard deviation of the sky, from a grid of pixels that the body does not cover."""
     height, width = image.pixels.shape
     rows, columns = np.mgrid[:height:_SKY_STEP_PX, :width:_SKY_STEP_PX]
     uv_px = np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5
-    beside = ~np.isfinite(image.deproject(uv_px)).all(axis=1)
-    if np.count_nonzero(beside) < _SKY_PIXELS:
+    sky = ~np.isfinite(image.deproject(uv_px)).all(axis=1)
+    if np.count_nonzero(sky) < _SKY_PIXELS:
         return KNOWN_SKY
-    return background_of(image.pixels[rows.ravel()[beside], columns.ravel()[beside]])
+    return background_of(image.pixels[rows.ravel()[sky], columns.ravel()[sky]])
 
 
 def _sampled(image: Image, uv_px: FloatArray) -> FloatArray:

@@ -58,8 +58,8 @@ def mesh():
     return boresight.TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32))
 
 
-def painted(mesh, images, wanted=None):
-    maplets = build_maplets(mesh, MapletOptions(spacing_m=1.5, side=25), wanted)
+def painted(mesh, images):
+    maplets = build_maplets(mesh, MapletOptions(spacing_m=1.5, side=25))
     renderer = boresight.MitsubaRenderer(maplets.mesh(), LambertSpec(albedo=1.0), 4)
     return paint(maplets, renderer, images)
 

@@ -78,7 +78,7 @@ class Posterior:
 
     @property
     def quality(self) -> dict[str, float]:
-        """How well the points fit, for diagnostics: see the attributes; ``chi2_dof`` is for the given covariances."""
+        """Measures of the fit, for diagnostics; ``chi2_dof`` is chi-square over degrees of freedom, before scaling."""
         chi2_dof = float(self.d2.sum()) / max(1, 2 * len(self.d2) - 6)
         return {"scale2": self.scale2, "residual_px": self.residual_px, "chi2_dof": chi2_dof}
 
