@@ -17,7 +17,7 @@ from boresight.campaign.catalog import PAGES
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 
-EXIT_OK, EXIT_USER_ERROR, EXIT_IN_PART, EXIT_INTERRUPTED = 0, 2, 3, 130
+EXIT_OK, EXIT_USER_ERROR, EXIT_IN_PART, EXIT_NOT_MET, EXIT_INTERRUPTED = 0, 2, 3, 4, 130
 """In part: an estimator raised, hung or returned nonsense in some trials, or runs that cannot be read were left out."""
 
 ALL_PAPERS = "all"
@@ -107,7 +107,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("names", "campaigns from the list, or YAML files", nargs="+", metavar="NAME"),
         _a("--trials", "trials of each scenario (default: what the campaign says)", _POSITIVE),
         _a("--until", 'stop when every 95 %% interval is narrow enough, for example "ci(position_error_m, median) <'
-           ' 0.5" or "... < 5 %%"; --trials stays the most', metavar="CONDITION"),
+           ' 0.5" or "... < 5 %%", or when all "requirements" are decided; --trials stays the most',
+           metavar="CONDITION"),
         _JOBS,
         _a("--seed", "seed (default: what the campaign says)", _NOT_NEGATIVE),
         _a("--out", "run folder of a single campaign (default: runs/NAME-DIGEST)", _FILE),
@@ -296,7 +297,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0: done; 1: an inspected trial is not the stored one, or a speed fell (bench --check); 2: bad input, said in one
     line; 3: done, but an estimator raised, hung or returned an invalid result in some trials, or runs that cannot be
-    read were left out (figures, board); 130: interrupted.
+    read were left out (figures, board); 4: done, but a requirement has not passed; 130: interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import shlex
 
-from boresight.campaign.cli.main import EXIT_IN_PART
+from rich.console import Console
+
+from boresight.campaign.cli.main import EXIT_IN_PART, EXIT_NOT_MET
 from boresight.campaign.cli.report import report_after_run
 from boresight.campaign.cli.terminal import ProgressListener, console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.manifest import Cluster
 from boresight.campaign.runs.start import Start, start
+from boresight.campaign.store import RunFolder
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display
 
@@ -62,7 +65,22 @@ def _run(begun: Start, arguments: argparse.Namespace) -> int:
             out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
             report_after_run(folder, arguments.worst, arguments.pdf)
+    if campaign.spec.requirements and _not_passed(folder, out):
+        return EXIT_NOT_MET
     return EXIT_IN_PART if (folder.table("rows")["status"] == "error").any() else 0
+
+
+def _not_passed(folder: RunFolder, out: Console) -> bool:
+    """Print the requirements that have not passed; return whether there are any."""
+    # Imported here: figures take a while to import, and most campaigns have no requirements.
+    from boresight.reports.kinds.requirements import judged
+    from boresight.reports.run.data import read_run
+    from boresight.reports.statistics.requirements import PASS
+
+    missed = [one for one in judged(read_run(folder.path)) if one.verdict.verdict != PASS]
+    for one in missed:
+        out.print(f"{one.verdict.verdict}: {one.requirement.written}, {one.estimator}, {one.scenario}")
+    return bool(missed)
 
 
 def _cluster(arguments: argparse.Namespace) -> Cluster | None:

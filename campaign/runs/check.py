@@ -14,6 +14,7 @@ from boresight.campaign.runs.read import campaign_names, core_seconds, in_words,
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.records import count_of
+from boresight.reports.statistics.requirements import read_requirement
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
 from boresight.scenarios.data.datasets import datasets
@@ -48,6 +49,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
         except BoresightError as error:
             entry = campaign.entry("report")
             raise error if entry is None else BoresightError(f"{entry.place}: {error}") from error
+    _check_requirements(campaign)
     kind = kind_named(campaign.spec.experiment)
     held = []  # scenarios of a grid share bodies, which are read once as long as they are held
     for scenario in campaign.scenarios:
@@ -58,6 +60,22 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
             entry = campaign.entry("trials") if trials == campaign.spec.trials else None
             asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
             raise BoresightError(f"{asked}: {scenario.spec.name} has images for {limit} trials at most")
+
+
+def _check_requirements(campaign: ResolvedCampaign) -> None:
+    """Refuse a requirement that cannot be read, or on an estimator or a scenario that there is not."""
+    known = {"estimators": campaign.labels, "scenarios": tuple(scenario.spec.name for scenario in campaign.scenarios)}
+    entry = campaign.entry("requirements")
+    where = "requirements" if entry is None else entry.place
+    for asked in campaign.spec.requirements:
+        try:
+            read_requirement(asked.that, campaign.spec.experiment)
+        except BoresightError as error:
+            raise BoresightError(f"{where}: {error}") from error
+        for key, there in known.items():
+            unknown = [name for name in getattr(asked, key) if name not in there]
+            if unknown:
+                raise BoresightError(f"{where}: {key}: there is no {unknown[0]}: choose among {', '.join(there)}")
 
 
 def check_data(campaign: ResolvedCampaign) -> None:

@@ -167,9 +167,9 @@ def start(
         raise BoresightError(f"--trial-limit {trial_limit_s:g}: give a number of seconds above 0")
     condition = None
     if until is not None:
-        from boresight.campaign.runs.until import parse_until
+        from boresight.campaign.runs.until import until as read_until
 
-        condition = parse_until(until, campaign.spec.experiment)
+        condition = read_until(until, campaign)
     folder = out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}"
     if cluster is not None and keep_images:
         raise BoresightError("--keep-images: workers of a cluster cannot write to the run folder: leave it out")

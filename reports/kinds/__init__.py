@@ -11,6 +11,7 @@ from typing import cast
 import pandas as pd
 
 from boresight.reports.figures.named import NamedFigure
+from boresight.reports.kinds.requirements import requirement_figures, requirement_grid, swing_grid
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import limited, short_line
@@ -28,12 +29,20 @@ _USUAL = "single-image"
 def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = report_kind(content.run).tables(content)
-    return _headed(content.run, (*found, claim_grid(content.claims), failure_grid(content.run)))
+    first = (requirement_grid(content.run), swing_grid(content.run))
+    return _headed(content.run, (*first, *found, claim_grid(content.claims), failure_grid(content.run)))
+
+
+def report_figures(content: Content) -> Iterable[NamedFigure]:
+    """List the figures of a report, in order."""
+    yield from requirement_figures(content.run)
+    yield from report_kind(content.run).figures(content)
 
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
-    return _headed(content.run, (*report_kind(content.run).brief(content), *told_grids(content)))
+    found = report_kind(content.run).brief(content)
+    return _headed(content.run, (requirement_grid(content.run), *found, *told_grids(content)))
 
 
 def told_grids(content: Content) -> list[Grid]:
@@ -45,7 +54,7 @@ def told_grids(content: Content) -> list[Grid]:
 def _headed(run: RunData, grids: Tables) -> list[Grid]:
     """Add the conditions of intervals to titles, and the a priori knowledge to the first table."""
     found = [limited(grid, run) for grid in grids if grid is not None]
-    if found and not found[0].known:
+    if found and not any(grid.known for grid in found):
         found[0] = replace(found[0], known=short_line(run))
     return found
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
-from boresight.reports.kinds import Content, brief_grids, report_grids, report_kind, told_grids
+from boresight.reports.kinds import Content, brief_grids, report_figures, report_grids, told_grids
 from boresight.reports.pages.content import content_of, estimator_results, headline, read_content, verdict_counts
 from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text, write_document
 from boresight.reports.run.data import RunData, read_run
@@ -204,10 +204,7 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kin
     for name, frame in frames.items():
         frame.to_csv(folder / name, index=False, lineterminator="\n")
     names = list(frames)
-    figures = [
-        *(with_trial_counts(figure, [content.run]) for figure in report_kind(content.run).figures(content)),
-        *extra,
-    ]
+    figures = [*(with_trial_counts(figure, [content.run]) for figure in report_figures(content)), *extra]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
     if twice:
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")

@@ -79,6 +79,16 @@ class ScenarioGrid(BaseModel):
     scenarios: tuple[ScenarioLevels, ...]
 
 
+class StoredRequirement(BaseModel):
+    """A requirement, the labels of those that must meet it and the scenarios in which; empty: all."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    that: str
+    estimators: tuple[str, ...] = ()
+    scenarios: tuple[str, ...] = ()
+
+
 class Manifest(BaseModel):
     """The keys of ``manifest.json`` that a report needs; further keys are ignored.
 
@@ -100,6 +110,8 @@ class Manifest(BaseModel):
     machine: Mapping[str, Any]
     credits: tuple[str, ...]
     report: str | None = None
+    requirements: tuple[StoredRequirement, ...] = ()
+    looked: bool = False
     command: str = ""
     notes: tuple[str, ...] = ()
     embedded: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from itertools import product
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, JsonValue
+from pydantic import BeforeValidator, Field, JsonValue, ValidationError
 
 from boresight.scenarios.spec.base import PlainValue, SpecModel, rule
 from boresight.scenarios.spec.scenario import NAME_PATTERN
@@ -117,10 +118,40 @@ EstimatorEntry = Annotated[
 ]
 
 
+class RequirementSpec(SpecModel):
+    """What a design must meet: ``position_error_m < 30 in 99.73 % at 90 %``, or that with whom it is asked of.
+
+    At least the share of all trials lies below the limit, failures counted as misses, to be shown with that confidence.
+    The measure is one that the kind of trial is compared by, a number of its rows, ``seconds``, or, without a limit,
+    ``solved`` or ``success``.
+    """
+
+    that: str = Field(description="MEASURE < LIMIT in SHARE % at CONFIDENCE %")
+    estimators: tuple[str, ...] = Field((), description="Labels of those that must meet it; all if left out")
+    scenarios: tuple[str, ...] = Field((), description="Scenarios in which; all if left out")
+
+
+def _read_requirement(value: object) -> RequirementSpec:
+    """Convert a text, or a mapping, to a `RequirementSpec`."""
+    if isinstance(value, RequirementSpec):
+        return value
+    keys = {"that": value} if isinstance(value, str) else value
+    try:
+        return RequirementSpec.model_validate_json(json.dumps(keys))
+    except (TypeError, ValidationError) as error:
+        written = "its text, or as {that: text, estimators: [label], scenarios: [name]}"
+        raise ValueError(f"write a requirement as {written}") from error
+
+
+RequirementEntry = Annotated[
+    RequirementSpec, BeforeValidator(_read_requirement, json_schema_input_type=str | RequirementSpec)
+]
+
+
 class CampaignSpec(SpecModel):
     """Content of a campaign file."""
 
-    prose: ClassVar = frozenset({"name", "title", "description", "report"})
+    prose: ClassVar = frozenset({"name", "title", "description", "report", "requirements"})
     own: ClassVar = frozenset({"name", "title", "description"})
 
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
@@ -144,6 +175,9 @@ class CampaignSpec(SpecModel):
         " trial t has data base t modulo their number",
     )
     report: str | None = Field(None, description="Key of the published values to set beside the results")
+    requirements: tuple[RequirementEntry, ...] = Field(
+        (), description="What every estimator must meet in every scenario; `run` exits with 4 if one does not"
+    )
 
     @rule
     def _each_once(self) -> None:

@@ -64,7 +64,7 @@ def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monke
     for block in sorted((folder / "rows").glob("*.parquet"))[1:] if trials == 20 else ():
         block.unlink()
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
-    condition = parse_until(f"ci(position_error_m, median) < {width}", "single-image")
+    condition = module.until(f"ci(position_error_m, median) < {width}", campaign)
     run_until(campaign, RunRequest(folder, 24, 1), condition, Heard())
     rows, whole = (pd.read_parquet(one / "rows") for one in (folder, tiny_run.folder))
     pd.testing.assert_frame_equal(rows, whole[whole["trial"] < trials])

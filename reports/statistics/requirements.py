@@ -1,0 +1,220 @@
+"""Whether trials show that a requirement is met: a share of all trials, failures among the others, within a limit.
+
+``position_error_m < 30 in 99.73 % at 90 %``: at least 99.73 % of the trials that could be drawn lie below 30 m, to be
+shown with a confidence of 90 %. With a number of trials fixed beforehand the test is exact: the requirement is met if
+so few misses have a probability of at most 10 % where exactly 99.73 % of the trials are within the limit (J. M. Hanson
+and B. B. Beard, Applying Monte Carlo Simulation to Launch Vehicle Design and Requirements Analysis,
+NASA/TP-2010-216447). A run that is looked at again and again needs a test that holds at every look, see `Evidence`.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from scipy.special import bdtr, bdtrc, betainc, betaincc, betaln
+
+from boresight.reports.schema.tables import columns_of, kind_schema
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.errors import BoresightError
+
+PASS, FAIL, UNDECIDED = "pass", "fail", "undecided"
+YES_OR_NO, SECONDS = ("solved", "success"), "seconds"
+
+_NUMBER = r"[+-]?\d*\.?\d+(?:e[+-]?\d+)?"
+_WRITTEN = re.compile(
+    rf"\s*(?P<measure>\w+)(?:\s*<\s*(?P<limit>{_NUMBER}))?\s+in\s+(?P<share>{_NUMBER})\s*%"
+    rf"\s+at\s+(?P<confidence>{_NUMBER})\s*%\s*",
+    re.IGNORECASE,
+)
+_MOST_TRIALS = 10_000_000
+_MOST_LOG = 700.0  # exp of more overflows
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A measure of a trial lies below ``limit`` in a ``share`` of all trials, to be shown with a ``confidence``.
+
+    Without a limit the measure is a yes or no: ``solved`` or ``success``. ``written`` is what the user wrote.
+    """
+
+    written: str
+    measure: str
+    limit: float | None
+    share: float
+    confidence: float
+
+    @property
+    def risk(self) -> float:
+        """Probability that is allowed of passing what is not met, and of failing what is."""
+        return 1.0 - self.confidence
+
+
+def parse_requirement(text: str) -> Requirement:
+    """Read ``MEASURE < LIMIT in SHARE % at CONFIDENCE %``; raise BoresightError if it is written otherwise."""
+    found = _WRITTEN.fullmatch(text)
+    if found is None:
+        raise BoresightError(
+            f"{text!r} is no requirement: write it as 'position_error_m < 30 in 99.73 % at 90 %', or 'success in 95 %"
+            " at 90 %'"
+        )
+    share, confidence = float(found["share"]) / 100.0, float(found["confidence"]) / 100.0
+    if not 0.0 < share < 1.0:
+        raise BoresightError(
+            f"{text!r}: no number of trials shows {100.0 * share:g} %: give a share between 0 and 100 %"
+        )
+    if not 0.5 <= confidence < 1.0:
+        raise BoresightError(f"{text!r}: a confidence is from 50 to below 100 %, not {100.0 * confidence:g} %")
+    limit = None if found["limit"] is None else float(found["limit"])
+    return Requirement(" ".join(text.split()), found["measure"].lower(), limit, share, confidence)
+
+
+def read_requirement(text: str, experiment: str) -> Requirement:
+    """Read a requirement on a kind of trial.
+
+    Raise BoresightError if it cannot be read, or names no measure of that kind.
+    """
+    asked = parse_requirement(text)
+    numbers = [c.name for c in columns_of("rows", experiment) if c.type in (pa.float64(), pa.int64())]
+    known = (*kind_schema(experiment).metrics, *numbers, SECONDS)
+    if asked.limit is None and asked.measure not in YES_OR_NO:
+        yes_or_no = " and ".join(YES_OR_NO)
+        raise BoresightError(f"{text!r}: {asked.measure} needs a limit; without one there are {yes_or_no}")
+    if asked.limit is not None and asked.measure not in known:
+        named = ", ".join(dict.fromkeys(known))
+        raise BoresightError(f"{text!r}: {asked.measure} is no measure of {experiment}: choose one of {named}")
+    return asked
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What ``n`` trials with so many ``missed`` say of a requirement.
+
+    ``reached`` is the limit that would just pass, so that the margin is from there to the requirement's limit. It is
+    infinite if none would: too few trials, or too many failures; None of a yes or no. ``risk`` is the consumer's: the
+    probability of trials that speak as much for the requirement where it is just not met. ``further`` trials without a
+    miss would pass it: 0 if it has passed, None if it has failed, or more than ten million would be needed.
+    """
+
+    verdict: str
+    n: int
+    missed: int
+    reached: float | None
+    risk: float
+    further: int | None
+
+
+def judge(requirement: Requirement, values: FloatArray, *, looked: bool = False) -> Verdict:
+    """Judge trials by their measure (n,) in their order, infinite for a failure; of a yes or no 0 for yes and 1 for no.
+
+    The number of trials was fixed beforehand, unless the run was ``looked`` at before and could have ended there.
+    """
+    test = _at_every_look if looked else _at_the_end
+    missed = _missed(requirement, values)
+    verdict, risk = test(requirement, missed)
+    reached = None if requirement.limit is None else _reached(requirement, values, looked=looked)
+    further = {PASS: 0, FAIL: None}.get(verdict, _further(requirement, missed, looked=looked))
+    return Verdict(verdict, len(values), int(missed.sum()), reached, risk, further)
+
+
+def _missed(requirement: Requirement, values: FloatArray) -> BoolArray:
+    return np.asarray(~(values < (0.5 if requirement.limit is None else requirement.limit)))
+
+
+def _at_the_end(requirement: Requirement, missed: BoolArray) -> tuple[str, float]:
+    """Return the verdict of a number of trials that was fixed beforehand, and the consumer's risk."""
+    n, m, allowed = len(missed), int(missed.sum()), 1.0 - requirement.share
+    few, many = float(bdtr(m, n, allowed)), float(bdtrc(m - 1, n, allowed)) if m else 1.0
+    return PASS if few <= requirement.risk else FAIL if many <= requirement.risk else UNDECIDED, few
+
+
+def _at_every_look(requirement: Requirement, missed: BoolArray) -> tuple[str, float]:
+    """Return the verdict that holds however often one looks, and the consumer's risk."""
+    found = Evidence.of(missed, requirement.share)
+    return found.verdict(requirement.risk)[0], min(1.0, 1.0 / float(found.passes.max(initial=1.0)))
+
+
+def upper_limit(values: FloatArray, share: float, confidence: float) -> float:
+    """Return the value below which a share of all trials lies, with a confidence: the k-th least of ``values`` (n,).
+
+    k is the least for which a binomial number with n and the share is below k with that confidence; infinite if n is
+    too small. It holds for any distribution (S. S. Wilks, Determination of sample sizes for setting tolerance limits,
+    Annals of Mathematical Statistics 12, 1941).
+    """
+    n = len(values)
+    k = int(np.searchsorted(bdtr(np.arange(n, dtype=np.float64), n, share), confidence)) + 1
+    return float(np.sort(values)[k - 1]) if k <= n else np.inf
+
+
+def _reached(requirement: Requirement, values: FloatArray, *, looked: bool) -> float:
+    if not looked:
+        return upper_limit(values, requirement.share, requirement.confidence)
+    # The evidence rises with the limit, so the least that passes is found by halving.
+    ordered = np.unique(values[np.isfinite(values)])
+
+    def passes(limit: float) -> bool:
+        return _at_every_look(requirement, values > limit)[0] == PASS
+
+    number = bisect_left(range(len(ordered)), 1, key=lambda i: int(passes(float(ordered[i]))))
+    return float(ordered[number]) if number < len(ordered) else np.inf
+
+
+def _further(requirement: Requirement, missed: BoolArray, *, looked: bool) -> int | None:
+    """Return how many more trials without a miss would pass it."""
+    n, m, allowed = len(missed), int(missed.sum()), 1.0 - requirement.share
+
+    def passes(more: int) -> bool:
+        if looked:
+            return bool(_log_evidence(m, n + more, allowed)[0] >= -np.log(requirement.risk))
+        return bool(bdtr(m, n + more, allowed) <= requirement.risk)
+
+    more = bisect_left(range(_MOST_TRIALS), 1, key=lambda trials: int(passes(trials)))
+    return more if more < _MOST_TRIALS else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Evidence after each trial (n,) that a requirement is met (``passes``) and that it is not (``fails``).
+
+    Each is the likelihood of the trials so far, averaged over the rates of misses on one side of the allowed one, over
+    that at the allowed rate. Where the requirement is not met, ``passes`` is a supermartingale from 1 on, so that it
+    ever reaches 1 / a with a probability of at most a, however often one looks (H. Robbins, Statistical methods related
+    to the law of the iterated logarithm, Annals of Mathematical Statistics 41, 1970); and ``fails`` where it is met.
+    The average is that of Jeffreys' prior, Beta(1/2, 1/2), on each side.
+    """
+
+    passes: FloatArray
+    fails: FloatArray
+
+    @classmethod
+    def of(cls, missed: BoolArray, share: float) -> Evidence:
+        """Weigh trials (n,) in their order by whether they missed."""
+        logs = _log_evidence(np.cumsum(missed), np.arange(1, len(missed) + 1), 1.0 - share)
+        passes, fails = (np.exp(np.minimum(one, _MOST_LOG)) for one in logs)
+        return cls(passes, fails)
+
+    def verdict(self, risk: float) -> tuple[str, int]:
+        """Return the verdict, and after how many trials it was reached: the first of the two to reach 1 / risk."""
+        first = {
+            name: int(np.argmax(path >= 1.0 / risk))
+            for name, path in ((PASS, self.passes), (FAIL, self.fails))
+            if (path >= 1.0 / risk).any()
+        }
+        if not first:
+            return UNDECIDED, len(self.passes)
+        verdict = min(first, key=lambda name: first[name])
+        return verdict, first[verdict] + 1
+
+
+def _log_evidence(misses: IndexArray | int, n: IndexArray | int, allowed: float) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of `Evidence` for numbers of misses among numbers n of trials, and an allowed rate of misses."""
+    a, b = 0.5 + misses, 0.5 + n - misses
+    boundary = misses * np.log(allowed) + (n - misses) * np.log1p(-allowed)
+    whole = betaln(a, b) - betaln(0.5, 0.5) - boundary
+    with np.errstate(divide="ignore"):
+        below = np.log(betainc(a, b, allowed)) - np.log(betainc(0.5, 0.5, allowed))
+        above = np.log(betaincc(a, b, allowed)) - np.log(betaincc(0.5, 0.5, allowed))
+    return whole + below, whole + above

@@ -1,0 +1,204 @@
+"""Requirements: the exact test, the test that holds at every look, and what a report prints of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import beta, binom, binomtest
+
+from boresight.reports.kinds.requirements import judged, requirement_grid, swing_grid, swings
+from boresight.reports.run.data import read_run
+from boresight.reports.statistics.intervals import wilson
+from boresight.reports.statistics.requirements import (
+    FAIL,
+    PASS,
+    UNDECIDED,
+    Evidence,
+    judge,
+    parse_requirement,
+    read_requirement,
+    upper_limit,
+)
+from boresight.scenarios.errors import BoresightError
+
+
+def with_misses(n: int, missed: int) -> np.ndarray:
+    return np.where(np.arange(n) < missed, np.inf, 10.0)
+
+
+@pytest.mark.parametrize(("missed", "least"), [(0, 852), (1, 1440), (2, 1970)])
+def test_numbers_of_trials_are_those_of_hanson_and_beard(missed, least):
+    """NASA/TP-2010-216447: 99.73 % at 90 %."""
+    asked = parse_requirement("position_error_m < 30 in 99.73 % at 90 %")
+    assert judge(asked, with_misses(least, missed)).verdict == PASS
+    short = judge(asked, with_misses(least - 1, missed))
+    assert (short.verdict, short.further) == (UNDECIDED, 1)
+    assert judge(asked, with_misses(least - 300, missed)).further == 300
+
+
+@pytest.mark.parametrize(("n", "missed"), [(40, 0), (40, 1), (40, 4), (40, 9), (200, 12), (200, 30), (7, 7)])
+def test_the_risks_are_those_of_scipys_binomial_test(n, missed):
+    asked = parse_requirement("success in 90 % at 90 %")
+    found = judge(asked, np.where(np.arange(n) < missed, 1.0, 0.0))
+    consumers, producers = (binomtest(missed, n, 0.1, alternative=side).pvalue for side in ("less", "greater"))
+    assert found.risk == pytest.approx(consumers)
+    assert found.verdict == (PASS if consumers <= 0.1 else FAIL if producers <= 0.1 else UNDECIDED)
+    assert (found.n, found.missed, found.reached) == (n, missed, None)
+
+
+@pytest.mark.parametrize("looked", [False, True])
+def test_what_is_reached_is_the_least_limit_that_passes(looked):
+    values = np.random.default_rng(4).exponential(10.0, 300)
+    values[::60] = np.inf
+    reached = judge(parse_requirement("nees < 1 in 80 % at 95 %"), values, looked=looked).reached
+    for limit, verdict in ((np.nextafter(reached, np.inf), True), (reached * (1.0 - 1e-12), False)):
+        asked = parse_requirement(f"nees < {float(limit)!r} in 80 % at 95 %")
+        assert (judge(asked, values, looked=looked).verdict == PASS) is verdict
+
+
+def test_the_limit_holds_as_often_as_it_says():
+    """The 90 % quantile of an exponential, ln 10; 4,000 samples, standard error 0.5 %."""
+    rng = np.random.default_rng(5)
+    held = np.mean([upper_limit(rng.exponential(1.0, 100), 0.9, 0.9) >= np.log(10.0) for _ in range(4000)])
+    k = int(binom.ppf(0.9, 100, 0.9)) + 1
+    assert held == pytest.approx(binom.cdf(k - 1, 100, 0.9), abs=0.015)
+    assert held > 0.885
+
+
+def test_more_failures_than_the_share_allows_reach_nothing():
+    found = judge(parse_requirement("nees < 1e9 in 90 % at 90 %"), with_misses(100, 40))
+    assert (found.verdict, found.reached, found.further) == (FAIL, np.inf, None)
+
+
+def test_evidence_is_the_averaged_likelihood_over_that_at_the_boundary():
+    missed = np.random.default_rng(6).random(30) < 0.2
+    found, allowed = Evidence.of(missed, 0.85), 0.15
+    prior = beta(0.5, 0.5)
+    for n in (1, 7, 30):
+        m = int(missed[:n].sum())
+
+        def ratio(rate, m=m, n=n):
+            return (rate / allowed) ** m * ((1.0 - rate) / (1.0 - allowed)) ** (n - m) * prior.pdf(rate)
+
+        below = quad(ratio, 0.0, allowed)[0] / prior.cdf(allowed)
+        above = quad(ratio, allowed, 1.0)[0] / prior.sf(allowed)
+        assert found.passes[n - 1] == pytest.approx(below, rel=1e-5)
+        assert found.fails[n - 1] == pytest.approx(above, rel=1e-5)
+
+
+def looked_at(rng, rate, runs, most, share=0.9):
+    """Let drawn campaigns run until the test at every trial decides: verdicts, and trials until then."""
+    found = [Evidence.of(rng.random(most) < rate, share).verdict(0.1) for _ in range(runs)]
+    return np.array([one[0] for one in found]), np.array([one[1] for one in found])
+
+
+def test_looking_after_each_trial_does_not_pass_what_is_just_not_met():
+    """400 campaigns of 500 trials at the boundary: the exact test at every look would pass far more than a tenth."""
+    rng = np.random.default_rng(7)
+    verdicts, _ = looked_at(rng, 0.1, 400, 500)
+    passes = int((verdicts == PASS).sum())
+    assert wilson(passes, 400)[0] < 0.1
+    missed = rng.random((200, 500)) < 0.1
+    naive = (binom.cdf(np.cumsum(missed, axis=1), np.arange(1, 501), 0.1) <= 0.1).any(axis=1).mean()
+    assert naive > 0.25
+
+
+def test_what_is_met_passes_soon_and_what_is_not_fails():
+    rng = np.random.default_rng(8)
+    for rate, verdict in ((0.02, PASS), (0.25, FAIL)):
+        verdicts, after = looked_at(rng, rate, 100, 600)
+        assert (verdicts == verdict).mean() > 0.9
+        assert after.mean() < 150
+
+
+def trials_of_the_exact_test(rate, share, power):
+    """Return the least number of trials, fixed beforehand, with which the exact test passes with a probability."""
+    for n in range(10, 20_000):
+        allowed = int(binom.ppf(0.1, n, 1.0 - share)) + 1
+        while allowed >= 0 and binom.cdf(allowed, n, 1.0 - share) > 0.1:
+            allowed -= 1
+        if binom.cdf(allowed, n, rate) >= power:
+            return n
+    raise ValueError(f"no number of trials has a power of {power}")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("share", "most"), [(0.9, 3000), (0.9973, 6000)])
+def test_wrong_passes_of_ten_thousand_campaigns(share, most, capsys):
+    """At the boundary, looked at after each trial: the upper limits of both wrong verdicts are at most 10 %."""
+    rng, boundary = np.random.default_rng(9), 1.0 - share
+    verdicts, _ = looked_at(rng, boundary, 10_000, most, share)
+    told = [f"{name} {(verdicts == name).mean():.4f}" for name in (PASS, FAIL)]
+    for part in (0.2, 0.5):
+        found, after = looked_at(rng, part * boundary, 300, 4 * most, share)
+        power = float((found == PASS).mean())
+        fixed = trials_of_the_exact_test(part * boundary, share, min(power, 0.99))
+        told.append(f"at {part} of its misses {after.mean():.0f} trials, {power:.3f} pass; fixed beforehand {fixed}")
+    with capsys.disabled():
+        print(f"\n{share}: {'; '.join(told)}")  # noqa: T201
+    for name in (PASS, FAIL):
+        assert wilson(int((verdicts == name).sum()), 10_000)[1] <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("position_error_m below 30", "is no requirement: write it as"),
+        ("position_error_m < 30 in 95 %", "is no requirement"),
+        ("position_error_m < 30 in 95 % at 90 %; 1", "is no requirement"),
+        ("position_error_m < nan in 95 % at 90 %", "is no requirement"),
+        ("position_error_m < 30 in 100 % at 90 %", "no number of trials shows 100 %"),
+        ("position_error_m < 30 in 0 % at 90 %", "no number of trials shows 0 %"),
+        ("position_error_m < 30 in 95 % at 40 %", "a confidence is from 50 to below 100 %, not 40 %"),
+        ("position_error_m < 30 in 95 % at 100 %", "not 100 %"),
+        (
+            "position_error_m in 95 % at 90 %",
+            "position_error_m needs a limit; without one there are solved and success",
+        ),
+        ("velocity < 3 in 95 % at 90 %", "velocity is no measure of single-image: choose one of position_error_m"),
+    ],
+)
+def test_a_requirement_that_cannot_be_read(text, why):
+    with pytest.raises(BoresightError, match=why):
+        read_requirement(text, "single-image")
+
+
+def test_the_report_judges_every_estimator_but_controls(full_run):
+    asked = [
+        {"that": "position_error_m < 60 in 75 % at 90 %"},
+        {"that": "position_error_x_m < 60 in 75 % at 90 %", "estimators": ["prior"]},
+        {"that": "solved in 99 % at 90 %", "scenarios": ["elsewhere"]},
+        {"that": "seconds < 3 in 90 % at 90 %"},
+    ]
+    run = read_run(full_run(requirements=asked))
+    found = list(judged(run))
+    harris = run.rows["estimator"] != "prior"
+    missed = harris & ~((run.rows["status"] == "ok") & (run.rows["position_error_m"] < 60.0))
+    assert [(one.estimator == "prior", one.verdict.n) for one in found] == [(False, 120), (True, 120), (False, 120)]
+    assert found[0].verdict.missed == int(missed.sum()) == 6
+    assert found[2].verdict.missed == 6, "failures miss, whatever their time"
+    assert found[2].verdict.reached < 3.0
+    assert len(requirement_grid(run).rows) == 3
+    first = next(judged(run, trials=50))
+    assert (first.verdict.n, first.verdict.missed) == (50, 3)
+
+
+def test_a_run_that_was_looked_at_needs_more_trials(full_run):
+    that = [{"that": "position_error_m < 60 in 90 % at 90 %"}]
+    fixed, looked = (next(judged(read_run(full_run(requirements=that, looked=one)))).verdict for one in (False, True))
+    assert (fixed.verdict, looked.verdict) == (PASS, UNDECIDED)
+    assert looked.further > 0
+
+
+def test_the_condition_that_moves_an_error_comes_first(full_run):
+    run = read_run(full_run(requirements=[{"that": "position_error_m < 60 in 75 % at 90 %"}]))
+    own = run.rows[run.rows["estimator"] != "prior"]
+    errors = own["prior_attitude_error_deg"] * 10.0
+    first, *others = swings(run, errors, 0.75)
+    third = np.sort(errors)[: len(own) // 3]
+    assert first.condition == "prior_attitude_error_deg"
+    assert first.low[0] == pytest.approx(np.quantile(third, 0.75, method="inverted_cdf"))
+    assert first.low[1][0] <= first.low[0] <= first.low[1][1] < first.high[1][0]
+    assert all(one.low[1][1] > one.high[1][0] for one in others), "the others do not matter"
+    assert len(swing_grid(run).rows) == len(others) + 1
