@@ -31,10 +31,16 @@ class Detector:
 
     spec: DetectorSpec
 
-    def expose(self, radiance_factor: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    def expose(
+        self,
+        radiance_factor: NDArray[np.float32],
+        rng: np.random.Generator,
+        points_e_per_s: FloatArray | None = None,
+    ) -> NDArray[np.float32]:
         """Expose one frame of an (H, W) mean radiance factor I/F, which is not modified.
 
-        ``rng`` is the source of the shot noise and the read noise. Return (H, W) whole digital numbers from 0 to
+        ``rng`` is the source of the shot noise and the read noise, ``points_e_per_s`` (H, W) the light of point
+        sources, blurred already (`renderers.stars`). Return (H, W) whole digital numbers from 0 to
         2**bits - 1. Raise `BoresightError` if the image is not two-dimensional, or holds negative or non-finite values.
         """
         image = np.asarray(radiance_factor, dtype=np.float64)
@@ -43,14 +49,18 @@ class Detector:
                 f"the detector needs an (H, W) image of finite radiance factors of at least 0, not one of shape"
                 f" {image.shape} between {image.min(initial=0.0)} and {image.max(initial=0.0)}"
             )
-        return self.digitise(self.collect(image, rng), rng)
+        return self.digitise(self.collect(image, rng, points_e_per_s), rng)
 
-    def collect(self, radiance_factor: FloatArray, rng: np.random.Generator) -> FloatArray:
+    def collect(
+        self, radiance_factor: FloatArray, rng: np.random.Generator, points_e_per_s: FloatArray | None = None
+    ) -> FloatArray:
         """Return the (H, W) electrons collected in the exposure, limited to the full well."""
         spec = self.spec
         # The optics blur the light before it is counted, so the counts of neighbouring pixels are independent. Dark
         # electrons are counted with them: a sum of Poisson variables is one too.
         rate_e_per_s = spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px) + spec.dark_e_per_s
+        if points_e_per_s is not None:
+            rate_e_per_s = rate_e_per_s + points_e_per_s
         expected_e = rate_e_per_s * drawn(spec.exposure_s, rng)
         electrons = rng.poisson(expected_e).astype(np.float64) if spec.shot_noise else expected_e
         # A pixel saturates before it is read: read noise is added to the clipped charge.

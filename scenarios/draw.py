@@ -14,6 +14,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, cross_matrix, look_at
 from boresight.scenarios.spec.distribution import Choice, Uniform, constant, drawn
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.stars import StarsSpec
 from boresight.scenarios.spec.vectors import Vector3
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
@@ -124,6 +125,8 @@ class Stream(IntEnum):
     STATES = 17
     CORRELATED = 18
     TRACK_ERRORS = 19
+    SKY = 20
+    STAR_TRACKER = 21
     ORBIT_CRATERS = 32
     ORBIT_IMAGES = 33
     ORBIT_SIGHTINGS = 34
@@ -289,6 +292,15 @@ def phase_quantile_rad(lighting: LightingSpec, share: float) -> float:
         return math.radians(lighting.phase_deg.quantile(share))
     low, high = np.cos(np.radians(lighting.phase_deg.uniform))
     return float(np.arccos((1.0 - share) * low + share * high))
+
+
+def body_attitude(stars: StarsSpec, seed: int, trial: int, time_s: float) -> FloatArray:
+    """(3, 3) rotation from inertial to body axes: by the body's rotation, else drawn uniformly over all rotations."""
+    if stars.rotation is not None:
+        return np.asarray(stars.rotation.matrices(np.array([time_s]))[0], dtype=np.float64)
+    # A normal quaternion of unit length is uniform.
+    quat_wxyz = generator(seed, Stream.SKY, trial).normal(size=4)
+    return Pose.from_quat_wxyz(quat_wxyz / np.linalg.norm(quat_wxyz), np.zeros(3)).rotation
 
 
 def rtn_axes(position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from boresight.scenarios.spec.distribution import Law
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.stars import ARTIFICIAL, HIPPARCOS
 from boresight.scenarios.spec.vectors import Law3
 
 ALBEDO = "albedo variation"
@@ -22,6 +23,7 @@ REAL_TRACKS = (
     "The tracks are real: errors are against reference poses, which are not exact, and what is told beside the tracks"
     " is drawn about them"
 )
+STARS_OF_HIPPARCOS = "Stars: Hipparcos, the new reduction (ESA; van Leeuwen 2007, CDS I/311)"
 _OF_IMAGES = ("", "single-image", "crater-detection", "landmark-database", "pose-convergence")
 """Kinds of trial of single views; '' where a scenario is described without a campaign."""
 THRESHOLDS = (
@@ -146,7 +148,9 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
     if experiment == "landmark-database":  # built and counted, not compared with a truth
         ideal = (Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images"))
         return Known((*lent, *_exacts("poses of the images that data bases are made of"), *ideal))
-    return Known((*lent, *_pose(spec), *_exposure(spec)), () if spec.craters is None else (THRESHOLDS,))
+    hipparcos = [STARS_OF_HIPPARCOS] if spec.stars is not None and spec.stars.catalog == HIPPARCOS else []
+    remarks = [*([] if spec.craters is None else [THRESHOLDS]), *hipparcos]
+    return Known((*lent, *_pose(spec), *_stars(spec), *_exposure(spec)), tuple(remarks))
 
 
 def _exacts(*names: str) -> list[Item]:
@@ -266,6 +270,16 @@ def _pose(spec: ScenarioSpec) -> list[Item]:
     law = _item("law of the pose errors", spec.believed_pose_error == wrong, "another is believed in")
     altimeter = ["law of the altimeter's error"] if spec.sensors.altimeter is not None else []
     return [law, *_exacts(*altimeter), *_nots("pose")]
+
+
+def _stars(spec: ScenarioSpec) -> list[Item]:
+    """List the catalogue of stars and the attitude of a star tracker."""
+    if spec.stars is None:
+        return []
+    sigma = spec.stars.tracker_sigma_deg
+    tracker = "lost in space" if sigma is None else f"star tracker to {', '.join(f'{one:g}' for one in sigma)} deg"
+    real = [Item("real stars", "absent", "drawn at random")] if spec.stars.catalog == ARTIFICIAL else []
+    return [*_exacts("places of the stars"), *real, Item("attitude among the stars", "not", tracker)]
 
 
 # --- orbits and sequences ---------------------------------------------------------------------------------------------

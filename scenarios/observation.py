@@ -23,6 +23,20 @@ class RangeReading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SkyKnowledge:
+    """What is known on board about the attitude among the stars at the exposure of an image that shows them.
+
+    ``R_body_inertial`` (3, 3) is the body's attitude by the onboard model of its rotation. ``R_cam_inertial`` (3, 3) is
+    the camera's by a star tracker, with ``sigma_rad`` (3,), standard deviations of its error about the camera's axes;
+    both None without one.
+    """
+
+    R_body_inertial: FloatArray
+    R_cam_inertial: FloatArray | None = None
+    sigma_rad: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One image with the a priori knowledge of the spacecraft.
 
@@ -41,6 +55,8 @@ class Frame:
         Epoch of the exposure.
     altimeter
         Range to the surface along the boresight; None without an altimeter, or if the boresight misses the body.
+    sky
+        Attitudes among the stars; None if the image has no stars.
     """
 
     image: NDArray[np.float32]
@@ -49,6 +65,7 @@ class Frame:
     prior_covariance: NDArray[np.float64]
     time_s: float = 0.0
     altimeter: RangeReading | None = None
+    sky: SkyKnowledge | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from boresight.renderers.mitsuba3 import (
     code_generator,
     renderer_version,
 )
-from boresight.scenarios.arrays import Image
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.craters import CrateredSurface, CraterTruth, crater_truth, cratered_surface, shape_digest
@@ -270,16 +270,26 @@ class Imager:
         detector = None if spec.detector is None else Detector(spec.detector)
         return replace(self, detector=detector, brightness=spec.lighting.brightness)
 
-    def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
+    def image(
+        self,
+        view: View,
+        seed: int,
+        index: int,
+        noise: np.random.Generator,
+        points_e_per_s: FloatArray | None = None,
+    ) -> tuple[Image, bool]:
         """Return the image (H, W) float32 of a view, and whether it came from the store.
 
-        ``seed`` and ``index`` number it in the store; ``noise`` is the random generator of the detector.
+        ``seed`` and ``index`` number it in the store; ``noise`` is the random generator of the detector, and
+        ``points_e_per_s`` the light of stars, which needs a detector.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
         factor = drawn(self.brightness, noise)
         if factor != 1.0:
             radiance = np.float32(factor) * radiance
-        return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
+        return (
+            radiance if self.detector is None else self.detector.expose(radiance, noise, points_e_per_s)
+        ), from_store
 
     def craters(self, view: View) -> CraterTruth:
         """Find the craters that a view shows; raise BoresightError if the body has none."""

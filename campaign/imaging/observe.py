@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.renderers.rectify import rectify
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
-from boresight.scenarios.geometry import View
-from boresight.scenarios.observation import CameraSigma, Frame, Observation, RangeReading
+from boresight.scenarios.geometry import Pose, View
+from boresight.scenarios.observation import CameraSigma, Frame, Observation, RangeReading, SkyKnowledge
 from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 T = TypeVar("T", bound=np.generic)
 
@@ -41,9 +43,9 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
     spec = world.scenario.spec
     true = trial_image.view.T_cam_body
     velocity_m_s = trial_image.velocity_m_s
-    prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial), velocity_m_s)
+    drawn = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial), velocity_m_s)
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
-    prior = onboard_attitude(prior, spec.onboard, knowledge)
+    prior = onboard_attitude(drawn, spec.onboard, knowledge)
     camera = onboard_camera(spec)
     frame = Frame(
         image=_read_only(rectify(trial_image.image, camera)),
@@ -52,10 +54,26 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
         prior_covariance=_read_only(prior_covariance(spec.believed_pose_error, prior, world.camera, velocity_m_s)),
         time_s=trial_image.time_s,
         altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
+        sky=_sky(spec, trial_image, drawn.rotation.T @ prior.rotation, generator(seed, Stream.STAR_TRACKER, trial)),
     )
     declared = spec.onboard.camera_sigma
     sigma = CameraSigma() if declared is None else CameraSigma(declared.focal, declared.principal_point_px)
     return Observation(camera.pinhole, frame, sigma)
+
+
+def _sky(
+    spec: ScenarioSpec, trial_image: TrialImage, turn: FloatArray, rng: np.random.Generator
+) -> SkyKnowledge | None:
+    """Tell the attitudes among the stars; ``turn`` (3, 3) takes the believed axes of the body to the true ones."""
+    if spec.stars is None or trial_image.R_body_inertial is None:
+        return None
+    body = _read_only(turn.T @ trial_image.R_body_inertial)
+    if spec.stars.tracker_sigma_deg is None:
+        return SkyKnowledge(body)
+    sigma_rad = np.radians(spec.stars.tracker_sigma_deg)
+    true = Pose(trial_image.view.T_cam_body.rotation @ trial_image.R_body_inertial, np.zeros(3))
+    tracked = true.perturbed(sigma_rad * rng.normal(size=3), np.zeros(3)).rotation
+    return SkyKnowledge(body, _read_only(tracked), _read_only(sigma_rad))
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

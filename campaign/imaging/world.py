@@ -13,18 +13,21 @@ from boresight.campaign.imaging.preview import longest_m, ranges_m, typical_rang
 from boresight.campaign.imaging.real_images import images_digest, open_images
 from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.renderers.stars import point_sources, star_pixels
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
-from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, state_of_trial
+from boresight.scenarios.draw import Stream, body_attitude, draw_aimed_view, drawn_together, generator, state_of_trial
 from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import Scale, body_sides_m
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.stars import open_stars
 from boresight.scenarios.spec.trajectory import StatesSpec
 from boresight.scenarios.spec.world import ViewpointSpec
+from boresight.scenarios.stars import StarCatalog
 
 _MOST_DRAWS = 1000
 _CHECKED_STATES = 100
@@ -40,7 +43,8 @@ class TrialImage:
     name, ``covariance`` (6, 6) is that of the reference pose, [rotation_rad, translation_m] in camera axes, if it is
     known, and ``image_name`` is its file, else ''. ``time_s`` is the epoch of a real image or of a state of a
     trajectory, else 0, and ``velocity_m_s`` (3,) the velocity of the camera about the body, body axes, of a trajectory
-    that has it. ``from_store`` says whether the image was rendered in an earlier run.
+    that has it. ``from_store`` says whether the image was rendered in an earlier run. ``R_body_inertial`` (3, 3) is
+    the body's attitude if the image has stars.
     """
 
     image: NDArray[np.float32]
@@ -51,6 +55,7 @@ class TrialImage:
     from_store: bool = False
     velocity_m_s: FloatArray | None = None
     covariance: FloatArray | None = None
+    R_body_inertial: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,16 +67,29 @@ class RenderedImageSource:
     camera: Camera
     shape: TriangleMesh
     imager: Imager
+    stars: StarCatalog | None = None
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Draw a view, render it and expose the detector."""
         view, spec = self.view(seed, trial), drawn_together(self.scenario.spec, seed, trial)
         imager = self.imager if spec.correlated is None else self.imager.of(spec)
-        image, from_store = imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
         states, state = self.viewpoint.states, state_of_trial(self.viewpoint, seed, trial)
-        if states is None:
-            return TrialImage(image, view, {}, from_store=from_store)
-        return TrialImage(image, view, {}, "", states.time_s[state], from_store, states.velocity(state))
+        time_s = 0.0 if states is None else states.time_s[state]
+        R_body_inertial = None if spec.stars is None else body_attitude(spec.stars, seed, trial, time_s)
+        points_e_per_s = self._stars_e_per_s(view, R_body_inertial)
+        image, from_store = imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial), points_e_per_s)
+        velocity_m_s = None if states is None else states.velocity(state)
+        return TrialImage(image, view, {}, "", time_s, from_store, velocity_m_s, R_body_inertial=R_body_inertial)
+
+    def _stars_e_per_s(self, view: View, R_body_inertial: FloatArray | None) -> FloatArray | None:
+        """Return the light of the stars that the body does not hide, (H, W); None in a scenario without stars."""
+        spec = self.scenario.spec
+        if spec.stars is None or spec.detector is None or self.stars is None or R_body_inertial is None:
+            return None
+        uv, rates = star_pixels(view.camera, view.T_cam_body.rotation @ R_body_inertial, self.stars)
+        rates *= spec.stars.zero_point(spec.camera.camera(), spec.detector)
+        seen = ~self.imager.renderer.surface(view, uv).hit
+        return point_sources(view.camera, uv[seen], rates[seen], spec.detector.psf_sigma_px)
 
     def flush(self) -> None:
         """Write rendered images to the store."""
@@ -231,7 +249,8 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     _check_range(scenario, body.mesh)
     together = () if spec.correlated is None else (spec.correlated,)
     imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting, *together)
-    drawn = RenderedImageSource(scenario, spec.viewpoint, camera, body.mesh, imager)
+    stars = None if spec.stars is None else open_stars(spec.stars, scenario.search_dirs)
+    drawn = RenderedImageSource(scenario, spec.viewpoint, camera, body.mesh, imager, stars)
     return World(scenario, camera, body, imager.renderer, drawn, imager.ground)
 
 

@@ -16,6 +16,7 @@ from boresight.scenarios.spec.craters import LISTED_PX, CraterPairsSpec, Craters
 from boresight.scenarios.spec.distribution import Choice, Law, Row3, Scalar
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.stars import StarsSpec
 from boresight.scenarios.spec.world import PAPER_POSE_ERROR, CorrelatedSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 
@@ -281,6 +282,7 @@ class ScenarioSpec(SpecModel):
     viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
     correlated: CorrelatedSpec | None = optional("Keys of views and images that are drawn together")
+    stars: StarsSpec | None = optional("Stars behind the body in rendered images; left out: a black sky")
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks of a camera's way, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
@@ -296,6 +298,22 @@ class ScenarioSpec(SpecModel):
             raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
         if self.craters is not None and body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
+
+    @model_validator(mode="after")
+    def _stars_behind_a_rotating_body(self) -> Self:
+        """Give the stars the rotation of the trajectory's body."""
+        if self.stars is None:
+            return self
+        if self.viewpoint is None:
+            raise ValueError(f"stars has no part in a scenario with {self._kind}: leave it out")
+        if self.detector is None:
+            raise ValueError("stars: they are seen by a detector: add the section detector")
+        rotation = None if self.viewpoint.trajectory is None else self.viewpoint.trajectory.rotation
+        if rotation is None or self.stars.rotation == rotation:
+            return self
+        if self.stars.rotation is not None:
+            raise ValueError("stars.rotation is not that of viewpoint.trajectory: leave it out")
+        return self.model_copy(update={"stars": self.stars.model_copy(update={"rotation": rotation})})
 
     @rule
     def _survey_of_a_known_camera(self) -> None:

@@ -47,6 +47,7 @@ from boresight.scenarios.load.yaml_text import parse_yaml
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spice import loaded_kernels
+from boresight.scenarios.stars import read_hipparcos, read_stars
 
 SEEDS = Path(__file__).with_name("seeds")
 Read = Callable[[bytes, Path], object]
@@ -338,6 +339,10 @@ READERS = {
     "pds-image": Reader(in_file("x.img", product), PDS),
     "pose-table": Reader(
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")
+    ),
+    "star-table": Reader(in_file("x.csv", read_stars), (b"1e400", b"nan", b"ra_deg", b"-90.1", b'"', b"#", b"\r\n")),
+    "hipparcos": Reader(
+        in_file("hip2.dat", lambda path: read_hipparcos(path, 2000.0)), (b"\n", b"nan", b"1e400", b"\0")
     ),
     "sumfile": Reader(in_file("x.SUM", sumfile), SUMFILES),
     "colmap-cameras": colmap("cameras.bin"),

@@ -82,6 +82,14 @@ SCENES = {
     "flown": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
         "lighting: {phase_deg: {uniform: [20, 60]}}\n", ""
     ),
+    # Exposed so long that the body is saturated and stars of magnitude 4 are seen.
+    "stars": RENDERED.replace("detector: {", "detector: {exposure_s: 100, ")
+    + "stars: {sun_distance_au: 20, tracker_sigma_deg: [0.1, 0.1, 0.2]}\n",
+    "stars-above": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
+        "detector: {", "detector: {exposure_s: 100, "
+    )
+    + "stars: {zero_point_e_per_s: 2.0e+4, rotation: {pole_ra_deg: 40, pole_dec_deg: 60, meridian_deg: 9,"
+    + " rate_deg_day: 700}}\n",
     "above": RENDERED.replace("range_m: 2000", "altitude_m: 1700"),
     "together": RENDERED.replace("range_m: 2000", "range_m: {choice: [1800, 2500]}, off_pointing_deg: {choice: [0, 2]}")
     + "correlated: {keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}\n",
@@ -233,6 +241,7 @@ def write_scenes(folder: Path) -> None:
     for name, height_m in (("states", 300.0), ("other", 400.0)):
         rows = [f"{600 * k},{-1500 - 90 * k},1200,{height_m},0.1,0.1,0" for k in range(3)]
         (folder / f"{name}.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *rows]) + "\n")
+    (folder / "stars.csv").write_text("ra_deg,dec_deg,mag\n" + "".join(f"{k},{k % 90},2\n" for k in range(360)))
     for number, name in enumerate(("set", "other")):
         _write_image_set(folder / name, np.random.default_rng(number))
     for name, radius_m in (("tracks", 790.0), ("more-tracks", 800.0)):
