@@ -15,6 +15,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.stars import StarCatalog
 
 T = TypeVar("T")
 Table = Mapping[str, NDArray[np.generic]]
@@ -67,6 +68,10 @@ class Assets(Protocol):
 
     def shape(self) -> TriangleMesh:
         """Return the full onboard shape (metres, body frame)."""
+        ...
+
+    def stars(self) -> StarCatalog:
+        """Return the catalogue of the stars behind the body; raise `NoProductError` if images show none."""
         ...
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:

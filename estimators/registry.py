@@ -153,6 +153,7 @@ ESTIMATORS: Registry[Estimator] = Registry(
         "crater-pose": "boresight.estimators.craters.pose:CraterPose",
         "tuned": "boresight.estimators.tuned:TunedEstimator",
         "consensus": "boresight.estimators.consensus:ConsensusEstimator",
+        "stars": "boresight.estimators.stars.navigator:StarNavigator",
         "prior": "boresight.estimators.prior:PriorEstimator",
     },
     group="boresight.estimators",

@@ -33,6 +33,8 @@ from boresight.scenarios.errors import BoresightError, MachineError, text_of
 from boresight.scenarios.geometry import Camera, TriangleMesh
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.stars import open_stars
+from boresight.scenarios.stars import StarCatalog
 
 _FAILURE = "unmade.txt"
 """File with the reason why a product cannot be built, in place of the product."""
@@ -100,6 +102,10 @@ class EstimatorAssets(Handle):
     def shape(self) -> TriangleMesh:
         """Return the full onboard shape."""
         return _built(self).shape()
+
+    def stars(self) -> StarCatalog:
+        """Return the catalogue of stars."""
+        return _built(self).stars()
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
         """Return a renderer of ``mesh`` with the onboard BRDF."""
@@ -170,6 +176,13 @@ class BuiltAssets:
         """Return the full believed shape."""
         self._uses_shape = True
         return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
+
+    def stars(self) -> StarCatalog:
+        """Return the catalogue of the scenario's stars; raise `NoProductError` if it has none."""
+        spec = self._scenario.spec
+        if spec.stars is None:
+            raise NoProductError(f"{spec.name}: stars: missing, so the images show none: add the section")
+        return open_stars(spec.stars, self._scenario.search_dirs)
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
         """Return a renderer of ``mesh`` with the believed BRDF."""

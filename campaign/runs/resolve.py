@@ -113,6 +113,11 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
                 f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
                 f" add the section, or leave the estimator out"
             )
+        if "stars" in with_bases(entry.name, entry.options) and scenario.spec.stars is None:
+            raise BoresightError(
+                f"{scenario.path}: stars: missing, but the estimator {entry.name} needs them: add the section, or"
+                " leave the estimator out"
+            )
         images = scenario.spec.images
         if _surveyed(entry.options) and (images is None or not images.survey):
             raise BoresightError(
