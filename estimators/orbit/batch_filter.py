@@ -114,7 +114,7 @@ class DataArc:
         # The estimated focal length is taken out of the observation: x / z = u / (f (1 + df)).
         rays = np.column_stack([seen / (1.0 + self.layout.focal(x)), np.ones(len(seen))])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        turns = measured.R_body_inertial[measured.image]
+        turns = self.layout.rotation(x).at(measured.times_s)[measured.image]
         attitudes = self.model.attitudes(unknowns)[measured.image]
         # Camera to inertial by the transposed attitude, then inertial to body.
         directions = np.einsum("kij,klj,kl->ki", turns, attitudes, rays)
@@ -210,9 +210,9 @@ class _Fit:
 class BatchFilter(Configured[OrbitOptions]):
     """Orbit determination by weighted least squares over a whole arc, from sightings of craters, ranges and Doppler.
 
-    The unknowns are the state, forces, camera mounting, attitudes and all craters. The arc grows step by step; numbers
-    that two craters share are split, outliers are edited, and a solution that does not fit is rejected and tried again
-    from the orbit found.
+    The unknowns are the state, forces, spin, camera mounting, attitudes and all craters. The arc grows step by step;
+    numbers that two craters share are split, outliers are edited, and a solution that does not fit is rejected and
+    tried again from the orbit found.
 
     Use it when
     -----------
@@ -223,8 +223,7 @@ class BatchFilter(Configured[OrbitOptions]):
     It fails when
     -------------
     There are too few sightings, the orbit diverges, the adjustment does not converge, more than ``edited_max`` of the
-    sightings do not agree, or chi-square exceeds ``chi_square_max`` a degree of freedom. Errors of the spin are not
-    estimated.
+    sightings do not agree, or chi-square exceeds ``chi_square_max`` a degree of freedom.
 
     Cost
     ----
@@ -236,7 +235,7 @@ class BatchFilter(Configured[OrbitOptions]):
     """
 
     name: ClassVar[str] = "batch-filter"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model = OrbitOptions
 
     def determine(self, data: OrbitData) -> OrbitEstimate:

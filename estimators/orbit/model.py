@@ -15,6 +15,7 @@ from boresight.scenarios.orbits.data import OrbitData, Radiometry
 
 _NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers
 _FLIGHTS_KEPT = 2
+_SPIN_STEP = 0.1  # of an unknown of the spin, in its sigma, for differences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +38,6 @@ class Measurements:
 
     times_s: FloatArray
     R_cam_inertial: FloatArray
-    R_body_inertial: FloatArray
     image: IndexArray
     point: IndexArray
     uv_px: FloatArray
@@ -106,7 +106,28 @@ class MeasurementModel:
             # exp(T w) T.
             found[:, 3:6, mounting] = known.misalignment_sigma_rad * _tilt_rotations(unknowns.tilts)
         found[:, 6, layout.part("focal")] = known.focal_sigma
+        if not layout.spin_is_known:
+            # A body turned by -w about its centre looks as if the camera at r were moved by w x r and turned by -w.
+            turned = self._spin_derivatives(unknowns.x)
+            positions = flown.states[self.measured.image_epoch, :3]
+            found[:, :3, layout.spin] += np.swapaxes(np.cross(np.swapaxes(turned, 1, 2), positions[:, None]), 1, 2)
+            found[:, 3:6, layout.spin] = -self.attitudes(unknowns) @ turned
         return found
+
+    def _spin_derivatives(self, x: FloatArray) -> FloatArray:
+        """Return (I, 3, s) rotations w of the inertial axes about the body, inertial axes, by the unknowns of the spin.
+
+        R_inertial_body is exp(-w) times that at ``x``: the pole is turned in body axes at the epoch, and the angle of
+        the rotation grows with the rate. The derivative by the pole leaves out products of its correction.
+        """
+        known, rotation, times = self.layout.knowledge, self.layout.rotation(x), self.measured.times_s
+        to_inertial, parts = rotation.R_body_inertial.T, []
+        if known.pole_sigma_rad > 0.0:
+            parts.append(np.broadcast_to(known.pole_sigma_rad * to_inertial[:, :2], (len(times), 3, 2)))
+        if known.spin_sigma > 0.0:
+            angles = known.spin_sigma * self.layout.field.rotation.rate_rad_s * times
+            parts.append(-angles[:, None, None] * to_inertial[:, 2:])
+        return np.concatenate(parts, axis=2)
 
     def sightings(self, unknowns: Unknowns, flown: OrbitPartials) -> SightingResiduals:
         """Predict the pixel of each sighting."""
@@ -115,7 +136,7 @@ class MeasurementModel:
         focal = 1.0 + layout.focal(unknowns.x)
         turns = self.attitudes(unknowns)
         positions = flown.states[measured.image_epoch, :3]
-        R_body_inertial = measured.R_body_inertial[image]
+        R_body_inertial = layout.rotation(unknowns.x).at(measured.times_s)[image]
         inertial = np.einsum("kji,kj->ki", R_body_inertial, unknowns.points[measured.point]) - positions[image]
         x, y, z = np.einsum("kij,kj->ik", turns[image], inertial)
         in_front = z > _NEAREST_M
@@ -173,16 +194,33 @@ def _tilt_rotations(tilts: FloatArray) -> FloatArray:
 
 
 def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> OrbitPartials:
-    """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same."""
+    """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same.
+
+    Derivatives by the unknowns of the spin, if there are any, follow those by the field's parameters.
+    """
     # Line search, splitting and editing need the same orbit again, and its propagation costs most.
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
         flown = propagate_partials(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+        if not layout.spin_is_known:
+            flown = replace(flown, by_parameters=np.dstack([flown.by_parameters, _by_spin(layout, x, times_s, flown)]))
         if len(layout.flights) == _FLIGHTS_KEPT:
             del layout.flights[next(iter(layout.flights))]
         layout.flights[key] = flown
     return layout.flights[key]
+
+
+def _by_spin(layout: ParameterLayout, x: FloatArray, times_s: FloatArray, flown: OrbitPartials) -> FloatArray:
+    """Return (T, 6, s) derivatives of the states by the unknowns of the spin: gravity turns with the body."""
+    end, found = float(times_s[-1]) if len(times_s) else 1.0, []
+    for row in range(layout.spin.start, layout.spin.stop):
+        moved = x.copy()
+        moved[row] += _SPIN_STEP
+        # The equations of variation have no such derivative; forward differences of fixed steps are smooth.
+        there = propagate_partials(layout.field_at(moved), layout.state(x), times_s, layout.pushes(x, end))
+        found.append((there.states - flown.states) / _SPIN_STEP)
+    return np.stack(found, axis=2)
 
 
 def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: OrbitPartials, rows: slice) -> FloatArray:
@@ -191,6 +229,7 @@ def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: OrbitPartia
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma
     by_forces = flown.by_parameters[:, rows][:, :, layout.forces]
     found[:, :, layout.part("forces")] = by_forces * layout.force_scale(x)
+    found[:, :, layout.spin] = flown.by_parameters[:, rows, layout.field.parameters :]
     if layout.pieces:
         found[:, :, layout.part("pushes")] = flown.by_pushes[:, rows] * layout.knowledge.noise_m_s2
     return found
@@ -221,7 +260,6 @@ def measurements_until(
         Measurements(
             times_s=times,
             R_cam_inertial=pictures.R_cam_inertial[:images],
-            R_body_inertial=known.field.rotation.at(times),
             image=pictures.image[rows],
             point=numbering[rows],
             uv_px=pictures.uv_px[rows],

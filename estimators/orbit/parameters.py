@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.linalg import toeplitz
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.dynamics.field import HarmonicField
+from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.propagation import OrbitPartials, PiecewiseAcceleration
 from boresight.scenarios.orbits.data import Knowledge, OrbitData
 from boresight.scenarios.spec.base import SpecModel
@@ -49,11 +49,12 @@ class ParameterLayout:
     """The order and scaling of the shared unknowns ``x``: a parameter is its a priori value plus its sigma times x.
 
     Parameters that are certain a priori (sigma 0) are left out. In order: state at the epoch, forces (ratio of GM,
-    factor on solar pressure, gravity coefficients), camera mounting, focal length, range bias, accelerations. ``field``
-    is the a priori force model, with derivatives by the gravity coefficients that are unknown, ``force_sigma`` (2 + K,)
-    has the sigmas of its parameters, and ``bias_sigma_m`` is that of the range bias; 0 where there is none. ``edges_s``
-    (P + 1,) are bounds of the intervals in which the unmodelled acceleration is constant; (0,) for none. ``flights``
-    are the last propagated orbits, by unknowns and times: several steps of the filter need the same ones.
+    factor on solar pressure, gravity coefficients), spin (pole, rate), camera mounting, focal length, range bias,
+    accelerations. ``field`` is the a priori force model, with derivatives by the gravity coefficients that are unknown,
+    ``force_sigma`` (2 + K,) has the sigmas of its parameters, and ``bias_sigma_m`` is that of the range bias; 0 where
+    there is none. ``edges_s`` (P + 1,) are bounds of the intervals in which the unmodelled acceleration is constant;
+    (0,) for none. ``flights`` are the last propagated orbits, by unknowns and times: several steps of the filter need
+    the same ones.
     """
 
     knowledge: Knowledge
@@ -100,6 +101,8 @@ class ParameterLayout:
         counts = {
             "state": 6,
             "forces": len(self.forces),
+            "pole": 2 if self.knowledge.pole_sigma_rad > 0.0 else 0,
+            "rate": 1 if self.knowledge.spin_sigma > 0.0 else 0,
             "mounting": 3 if self.knowledge.misalignment_sigma_rad > 0.0 else 0,
             "focal": 1 if self.knowledge.focal_sigma > 0.0 else 0,
             "bias": 1 if self.bias_sigma_m > 0.0 else 0,
@@ -147,7 +150,26 @@ class ParameterLayout:
     def field_at(self, x: FloatArray) -> HarmonicField:
         """Return the force model with the estimated parameters."""
         added = self._corrections(x)
-        return self.field.changed(1.0 + added[0], 1.0 + added[1], added[2:])
+        field = self.field.changed(1.0 + added[0], 1.0 + added[1], added[2:])
+        return field if self.spin_is_known else dataclasses.replace(field, rotation=self.rotation(x))
+
+    @property
+    def spin_is_known(self) -> bool:
+        """Return whether neither the pole nor the spin rate is an unknown."""
+        return bool(self.spin.start == self.spin.stop)
+
+    @property
+    def spin(self) -> slice:
+        """Return the rows of the pole and of the rate."""
+        return slice(self.part("pole").start, self.part("rate").stop)
+
+    def rotation(self, x: FloatArray) -> UniformRotation:
+        """Return the rotation of the body with the estimated pole and rate."""
+        if self.spin_is_known:
+            return self.field.rotation
+        pole = x[self.part("pole")]
+        across = self.knowledge.pole_sigma_rad * (pole if len(pole) else np.zeros(2))
+        return self.field.rotation.changed(across, 1.0 + self.knowledge.spin_sigma * float(x[self.part("rate")].sum()))
 
     def mounting(self, x: FloatArray) -> FloatArray:
         """Return the rotation vector (3,) of the camera's misalignment, rad."""

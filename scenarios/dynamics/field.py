@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import inner, kernel
@@ -45,6 +46,12 @@ class UniformRotation:
         turns[:, 1, 0] = -np.sin(angles)
         turns[:, 2, 2] = 1.0
         return np.asarray(turns @ self.R_body_inertial, dtype=np.float64)
+
+    def changed(self, across_rad: FloatArray, rate_ratio: float) -> UniformRotation:
+        """Return the rotation with its pole turned by (2,) rad about the body's x and y axes, and another rate."""
+        # Left of R_body_inertial: about body axes.
+        tilt = Rotation.from_rotvec([*across_rad, 0.0]).as_matrix()
+        return UniformRotation(tilt @ self.R_body_inertial, rate_ratio * self.rate_rad_s)
 
 
 class FlatField(NamedTuple):

@@ -116,9 +116,10 @@ class Knowledge:
 
     ``state`` (6,) is position, m, and velocity, m/s, at the epoch, inertial axes; ``noise_px`` is of a sighting. Errors
     of the attitude are about each camera axis: ``attitude_sigma_rad`` of each image, ``misalignment_sigma_rad`` of the
-    camera in all images. Those of the focal length, GM and solar radiation pressure (``light_sigma``) are relative, 0
-    if exact. ``coefficient_sigma`` is of each estimated normalised gravity coefficient. The unmodelled acceleration has
-    the standard deviation ``noise_m_s2``, 0 if there is none, and the correlation time ``noise_time_s``, in which its
+    camera in all images. Those of the focal length, GM, solar radiation pressure (``light_sigma``) and the spin rate
+    are relative, 0 if exact. ``pole_sigma_rad`` is of the spin axis about each of two axes across it, 0 if exact.
+    ``coefficient_sigma`` is of each estimated normalised gravity coefficient. The unmodelled acceleration has the
+    standard deviation ``noise_m_s2``, 0 if there is none, and the correlation time ``noise_time_s``, in which its
     autocorrelation decays to 1 / e.
     """
 
@@ -133,6 +134,8 @@ class Knowledge:
     focal_sigma: float
     gm_sigma: float
     light_sigma: float
+    pole_sigma_rad: float
+    spin_sigma: float
     coefficient_sigma: float
     noise_m_s2: float
     noise_time_s: float

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, generator
@@ -42,6 +41,8 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
         focal_sigma=spec.pointing.focal_error,
         gm_sigma=known.gm_sigma,
         light_sigma=known.light_sigma,
+        pole_sigma_rad=float(np.radians(known.pole_sigma_deg)),
+        spin_sigma=known.spin_sigma,
         coefficient_sigma=world.coefficient_sigma,
         noise_m_s2=spec.light.noise_share * float(np.linalg.norm(world.light_m_s2)),
         noise_time_s=spec.light.noise_days * DAY_S,
@@ -49,7 +50,7 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
 
 
 def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRotation:
-    """Draw the onboard spin model, with errors of pole and rate that are not in the a priori covariance.
+    """Draw the onboard spin model, with errors of pole and rate.
 
     The phase at the epoch has no error: it is equivalent to a common shift of the landmarks' longitudes.
     """
@@ -58,9 +59,7 @@ def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRo
         return true
     across_rad = np.radians(known.pole_sigma_deg) * rng.normal(size=2)
     longer = 1.0 + known.spin_sigma * rng.normal()
-    # Left of R_body_inertial: about the body's x and y axes, which moves the pole.
-    tilt = Rotation.from_rotvec([*across_rad, 0.0]).as_matrix()
-    return UniformRotation(tilt @ true.R_body_inertial, longer * true.rate_rad_s)
+    return true.changed(across_rad, longer)
 
 
 def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> Radiometry | None:

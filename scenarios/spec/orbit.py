@@ -96,12 +96,8 @@ class OrbitKnowledgeSpec(SpecModel):
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Relative standard deviation of GM")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Relative standard deviation of the solar pressure")
-    pole_sigma_deg: float = deviation(
-        0.0, "the spin axis about each of two axes across it; it is not estimated", ge=0, le=90
-    )
-    spin_sigma: float = Field(
-        0.0, ge=0, lt=1, description="Relative standard deviation of the spin rate; it is not estimated"
-    )
+    pole_sigma_deg: float = deviation(0.0, "the spin axis about each of two axes across it", ge=0, le=90)
+    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the spin rate")
     shape_degree: int = Field(
         34, ge=2, le=34, description="Degree of the spherical harmonics of the a priori shape's radius"
     )

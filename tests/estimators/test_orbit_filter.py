@@ -40,9 +40,10 @@ def _arc(data, options=None, until=np.inf):
 
 
 def test_derivatives_are_central_differences(clean):
-    data = replace(clean[1], knowledge=replace(clean[1].knowledge, focal_sigma=1e-3, noise_m_s2=1e-10))
-    arc, solution = _arc(data)
+    known = replace(clean[1].knowledge, focal_sigma=1e-3, noise_m_s2=1e-10, pole_sigma_rad=2e-4, spin_sigma=1e-4)
+    arc, solution = _arc(replace(clean[1], knowledge=known))
     layout, model = arc.layout, arc.model
+    assert layout.spin.stop - layout.spin.start == 3
     start = arc.unknowns(solution)
     rng = np.random.default_rng(0)
     start = Unknowns(0.1 * rng.normal(size=layout.size), 1e-4 * rng.normal(size=start.tilts.shape), start.points)
@@ -187,6 +188,20 @@ def test_covariances_foretell_errors():
         squares.append(error @ np.linalg.solve(found.orbit.covariance, error))
     # The sum is a chi-square of 144 degrees of freedom: 99.9 % of it lies here.
     assert 93.0 < np.sum(squares) < 207.0
+
+
+def test_an_error_of_the_spin_is_estimated_and_in_the_covariance():
+    """The deviation of the rate turns the body by 1 deg over the arc, up to 8 pixels."""
+    world = orbit_world(knowledge={"pole_sigma_deg": 0.3, "spin_sigma": 3e-4})
+    squares = []
+    for trial in range(16):
+        truth, data = draw_orbit(world, 12, trial)
+        found = BatchFilter().determine(data)
+        assert found.status == "ok", found.reason
+        error = found.orbit.state - truth.states[0]
+        squares.append(error @ np.linalg.solve(found.orbit.covariance, error))
+    # The sum is a chi-square of 96 degrees of freedom: 99.9 % of it lies here.
+    assert 56.0 < np.sum(squares) < 148.0
 
 
 def test_the_same_data_give_the_same_bits(clean, solved):
