@@ -89,6 +89,34 @@ class Association:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class CentreErrors:
+    """How errors of centres in one image vary and correlate, in units of their stated standard deviations.
+
+    The same light and slopes displace neighbouring rims alike: two craters at a distance d correlate by
+    ``correlation / (1 + d / length_m)``. ``variance`` is that of an average image. The variances of images are
+    scaled inverse chi-squares of ``freedom`` degrees of freedom; if infinite, all images have the average one.
+    """
+
+    variance: float = 1.0
+    correlation: float = 0.0
+    length_m: float = 1.0
+    freedom: float = np.inf
+
+    def correlations(self, points_m: FloatArray) -> FloatArray:
+        """Return the (n, n) correlations of the errors of craters at (n, 3), m."""
+        apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
+        found = self.correlation / (1.0 + apart / self.length_m)
+        np.fill_diagonal(found, 1.0)
+        return np.asarray(found, dtype=np.float64)
+
+    def image_variance(self, square: float, freedom: float) -> float:
+        """Return the expected variance of an image whose errors have the chi-square ``square``."""
+        if not np.isfinite(self.freedom):
+            return self.variance
+        return (square + self.freedom * self.variance) / (freedom + self.freedom)
+
+
 def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
     """Return the (n, 2, 2) covariance of the centres of rims due to the detector."""
     sigma = np.hypot(options.centre_sigma_px, options.centre_sigma_radii * ellipses.radius_px)
@@ -266,10 +294,19 @@ class PairHypotheses:
         return self.log_ratios(self.offsets - (H @ error)[:, None], spread)
 
 
-def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Stack the derivatives (2k, s) of pairs, and the covariance (2k, 2k) of their offsets."""
+def _joint(
+    expected: ExpectedCraters, pairs: IndexArray, correlations: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Stack the derivatives (2k, s) of pairs, and the covariance (2k, 2k) of their offsets.
+
+    ``correlations`` (k, k) are those of the noise of the pairs; independent if None.
+    """
     H = expected.by_error[pairs[:, 0]].reshape(-1, len(expected.covariance))
     joint = H @ expected.covariance @ H.T
+    if correlations is not None:
+        roots = np.linalg.cholesky(expected.noise_px2[pairs[:, 0]])
+        shared = np.einsum("ab,aij,bkj->aibk", correlations, roots, roots)
+        return H, joint + shared.reshape(joint.shape)
     for row, i in enumerate(pairs[:, 0]):
         # The errors of the poses correlate all offsets; the noise of the detector only the two components of one.
         joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += expected.noise_px2[i]
@@ -277,11 +314,14 @@ def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, Fl
 
 
 def condition_on_pairs(
-    expected: ExpectedCraters, offsets: FloatArray, pairs: IndexArray
+    expected: ExpectedCraters, offsets: FloatArray, pairs: IndexArray, correlations: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the common error minus its mean, (s,) and (s, s), given pairs (k, 2) and all offsets (n, m, 2)."""
+    """Return the common error minus its mean, (s,) and (s, s), given pairs (k, 2) and all offsets (n, m, 2).
+
+    ``correlations`` (k, k) are those of the noise of the pairs; independent if None.
+    """
     P = expected.covariance
-    H, joint = _joint(expected, pairs)
+    H, joint = _joint(expected, pairs, correlations)
     # e | y ~ N(K y, P - K H P) with K = P H^T S^-1 and S = H P H^T + R.
     gain = np.linalg.solve(joint, H @ P).T
     covariance = P - gain @ H @ P
@@ -290,21 +330,36 @@ def condition_on_pairs(
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
 
 
-def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:
+def adjust_robustly(
+    expected: ExpectedCraters,
+    seen: Ellipses,
+    found: Association,
+    points_m: FloatArray | None = None,
+    errors: CentreErrors = CentreErrors(),
+) -> Association:
     """Estimate the common error again with Huber's loss: centres of rims have heavier tails than a Gaussian.
 
-    The noise of each pair is divided by its weight, iteratively; the prior keeps its weight.
+    The noise of each pair is divided by its weight, iteratively; the prior keeps its weight. ``points_m`` (n, 3) are
+    the places of the expected craters, between which errors correlate; independent if None. The variance of the image
+    is estimated with its ``errors``, by the chi-square of its residuals.
     """
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]
     i, k = found.pairs.T
     error, noise = found.error - expected.mean, expected.noise_px2[i]
+    correlations = np.eye(len(i)) if points_m is None else errors.correlations(points_m[i])
     for _ in range(_HUBER_PASSES):
         left = offsets[i, k] - expected.by_error[i] @ error
-        # Offsets in units of the detector's noise alone; dividing that noise by the weight gives the weighted normal
-        # equations.
-        sigmas = np.sqrt(np.einsum("ni,nij,nj->n", left, np.linalg.inv(noise), left))
+        standard = np.linalg.solve(np.linalg.cholesky(noise), left[..., None])[..., 0]
+        square = float(np.sum(standard * np.linalg.solve(correlations, standard)))
+        H, joint = _joint(expected, found.pairs, correlations)
+        # The residuals lack the degrees of freedom that the common error has taken from them.
+        taken = float(np.trace(np.linalg.solve(joint, H @ expected.covariance @ H.T)))
+        variance = errors.image_variance(square, 2.0 * len(i) - taken)
+        # Dividing the noise of the detector by the weight gives the weighted normal equations.
         weighed = expected.noise_px2.copy()
-        weighed[i] = noise / huber_weights(sigmas)[:, None, None]
-        error, covariance = condition_on_pairs(replace(expected, noise_px2=weighed), offsets, found.pairs)
+        weighed[i] = (
+            variance * noise / huber_weights(np.linalg.norm(standard, axis=1) / np.sqrt(variance))[:, None, None]
+        )
+        error, covariance = condition_on_pairs(replace(expected, noise_px2=weighed), offsets, found.pairs, correlations)
     return replace(found, error=expected.mean + error, covariance=covariance)
