@@ -141,7 +141,9 @@ def _imported(name: str, place: str, load: Callable[[], object]) -> object:
 
 ESTIMATORS: Registry[Estimator] = Registry(
     own={
-        "centroid": "boresight.estimators.landmark.centroiding:CentroidAligner",
+        "centroid": "boresight.estimators.approach.centroid:CentroidEstimator",
+        "centroid-phase": "boresight.estimators.approach.matching:LambertCorrelation",
+        "silhouette": "boresight.estimators.approach.matching:SilhouetteEstimator",
         "landmark-harris": "boresight.estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "boresight.estimators.altimeter:AltimeterEstimator",
         "landmark-orb": "boresight.estimators.descriptors.recognizer:OrbNavigator",

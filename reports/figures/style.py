@@ -73,9 +73,9 @@ _METHODS = {
     SKY: "whole-image minimal-sets batch",
     ORANGE: "landmark-ransac ekf-slam gtsam-fixed-lag crater-learned hybrid",
     PURPLE: "photometric consistent-ekf-slam correlation",
-    GREEN: "lmaps fixed-lag vote crater-heat-map",
+    GREEN: "lmaps fixed-lag vote crater-heat-map silhouette",
     VERMILION: "landmark-altimeter landmark-sift iterated-ekf-slam gtsam-isam2 invariants",
-    BROWN: "landmark-orb dynamic-smoother",
+    BROWN: "landmark-orb dynamic-smoother centroid-phase",
     VIOLET: "crater-pose centroid loop-smoother",
 }
 """The methods that have a colour unless another method of the figure has it. Controls are grey."""

@@ -26,7 +26,7 @@ MAPLETS = {"spacing_m": 15, "side": 15}
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {
     "landmark-harris": {"database": DATABASE},
-    "centroid": {"database": DATABASE},
+    "centroid": {"shape": "landmark-mesh", "database": DATABASE},
     "landmark-ransac": {"database": DATABASE},
     "whole-image": {"database": DATABASE},
     "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},

@@ -38,7 +38,7 @@ BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15, sigma_fl
 HEAD = "scenarios: [scene]\nseed: 3\n"
 CAMPAIGNS = {
     "rowell2015-simulated": f"estimators: [prior, landmark-harris: {{database: {BASE}}}]\ntrials: 6\n",
-    "rowell2015-centroid": f"estimators: [prior, centroid: {{database: {BASE}}}]\ntrials: 4\n",
+    "rowell2015-centroid": f"estimators: [prior, centroid: {{shape: landmark-mesh, database: {BASE}}}]\ntrials: 4\n",
     "rowell2015-database": f"experiment: landmark-database\nestimators: [landmark-database: {BASE}]\ntrials: 1\n",
     "rowell2015-convergence": (
         "experiment: pose-convergence\nestimators:\n"

@@ -43,7 +43,8 @@ class Ball:
         self.views.append(view)
         centre = view.T_cam_body.translation_m
         u, v = view.camera.project(centre)
-        return self.gain * disc(u, v, view.camera.fx_px * RADIUS_M / centre[2])
+        shape = view.camera.height_px, view.camera.width_px
+        return self.gain * disc(u, v, view.camera.fx_px * RADIUS_M / centre[2], shape)
 
 
 @pytest.mark.parametrize("centre", [(100.0, 90.0), (100.5, 90.5), (77.3, 121.8)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
-from boresight.estimators.landmark.centroiding import CentroidAligner, CentroidOptions
+from boresight.estimators.approach.centroid import CentroidEstimator, CentroidOptions
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -21,14 +21,14 @@ def observed(shift_m=(0.0, 0.0, 0.0), image=None):
         image=100.0 * ball if image is None else image,
         sun_dir_cam=np.array([0.0, 0.0, -1.0]),
         prior_T_cam_body=prior,
-        prior_covariance=np.eye(6),
+        prior_covariance=np.diag([0.0] * 3 + [50.0**2] * 2 + [1.0]),
         time_s=0.0,
     )
     return Observation(CAMERA, frame)
 
 
 def estimate(observation, **options):
-    aligner = CentroidAligner(Ball(), CentroidOptions(**options))
+    aligner = CentroidEstimator(Ball(), RADIUS_M, CentroidOptions(blur_px=0.0, **options))
     return aligner.estimate(observation, rng=np.random.default_rng(0))
 
 
@@ -49,7 +49,7 @@ def test_offsets_are_observed_minus_rendered_at_the_prior(shift_m):
 def test_without_an_error_nothing_moves():
     found = estimate(observed())
     assert found.diagnostics["centroid_offset_px"] < 1e-3
-    assert found.diagnostics["centroid_iterations"] == 2
+    assert found.diagnostics["centroid_iterations"] == 1
 
 
 def test_the_extent_is_that_of_the_disc():
@@ -74,8 +74,13 @@ def test_a_hopeless_image_is_a_failure_with_a_reason(image, reason):
     assert found.pose is None
 
 
-def test_a_mesh_out_of_view_is_a_failure_with_a_reason():
-    assert "out of view" in estimate(observed((900.0, 0.0, 0.0))).reason
+def test_the_body_is_found_where_the_prior_is_out_of_view():
+    found = estimate(observed((900.0, 0.0, 0.0)))
+    np.testing.assert_allclose(found.pose.translation_m[:2], TRUTH.translation_m[:2], atol=1.0)
+
+
+def test_a_prior_behind_the_camera_is_a_failure_with_a_reason():
+    assert "out of view" in estimate(observed((0.0, 0.0, -3000.0))).reason
 
 
 def test_an_image_of_another_size_is_refused():

@@ -1,0 +1,1 @@
+"""Position of a body from its brightness and its outline, for approach and departure."""

@@ -1,0 +1,185 @@
+"""The lit body in an image, and renderings of the body in windows of the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from boresight.estimators.contract import ImageRenderer
+from boresight.estimators.landmark.signal import background_of
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.observation import Frame
+
+_SIGMAS, _SHARE = 5.0, 0.02
+_LEAST_PIXELS = 3
+_MARGIN_PX = 5
+_SKY_ROWS = 128
+# Sides of a rendered body, px: below it is rendered enlarged, and pixels are means of what is rendered.
+_RENDERED_PX, _MOST_ENLARGED = 96, 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """A rectangle of an image: its pixels (h, w), and the column and row of the first one, which may be negative."""
+
+    image: FloatArray
+    column: int
+    row: int
+
+    def cut(self, like: Patch) -> FloatArray:
+        """Return the pixels of this patch at those of another (h, w), 0 where it has none."""
+        found = np.zeros(like.image.shape)
+        top, left = like.row - self.row, like.column - self.column
+        rows = slice(max(top, 0), min(top + len(found), len(self.image)))
+        columns = slice(max(left, 0), min(left + found[0].size, self.image[0].size))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            inside = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+            found[inside] = self.image[rows, columns]
+        return found
+
+    def centres(self) -> tuple[FloatArray, FloatArray]:
+        """Return the columns (1, w) and rows (h, 1) of the centres of the pixels, px of the image."""
+        height, width = self.image.shape
+        columns, rows = np.arange(width, dtype=np.float64)[None], np.arange(height, dtype=np.float64)[:, None]
+        return columns + (self.column + 0.5), rows + (self.row + 0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LitBody:
+    """The lit body in an image.
+
+    ``patch`` has the image without the level of the sky in the box of the body, ``lit`` (h, w) are its pixels that are
+    brighter than ``floor``, and pixels farther than two from those are 0. ``noise`` is the standard deviation of a
+    pixel of the sky. ``cut`` says whether lit pixels are at the border of the image.
+    """
+
+    patch: Patch
+    lit: BoolArray
+    floor: float
+    noise: float
+    cut: bool
+
+    @property
+    def extent_px(self) -> float:
+        """Longer side of the box of the lit pixels, px."""
+        rows, columns = np.nonzero(self.lit)
+        return float(max(np.ptp(rows), np.ptp(columns)) + 1)
+
+
+def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str:
+    """Find the lit body in an image, or return the reason why there is none.
+
+    It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
+    and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
+    divide a body. Raise BoresightError if the image does not have the camera's size.
+    """
+    image = frame.image
+    if image.shape != (camera.height_px, camera.width_px):
+        raise BoresightError(
+            f"the image has shape {image.shape}, but the camera's is {(camera.height_px, camera.width_px)}: hand in the"
+            " camera's own image"
+        )
+    if not np.isfinite(image).all():
+        return "the image holds NaN or infinite pixels"
+    level, noise = _sky(image)
+    bright = image[image > np.float32(level + _SIGMAS * noise)]
+    full = float(np.percentile(bright, 99.0)) - level if bright.size else 0.0
+    floor = max(_SIGMAS * noise, _SHARE * full)
+    lit = image > np.float32(level + floor)
+    rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
+    if not len(rows):
+        return "the image is black: nothing above its background"
+    top, left = int(rows[0]), int(columns[0])
+    lit = lit[top : rows[-1] + 1, left : columns[-1] + 1]
+    _, labels, stats, middles = cv2.connectedComponentsWithStats(lit.astype(np.uint8), connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    areas[0] = 0  # the sky
+    if areas.max() < _LEAST_PIXELS:
+        return f"the image shows no body: no {_LEAST_PIXELS} neighbouring pixels are brighter than the sky"
+    apart_px = np.linalg.norm(middles - middles[int(areas.argmax())], axis=1)
+    kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX)
+    first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
+    whole = np.array([camera.width_px, camera.height_px])
+    low, high = first.min(axis=0), (first + size).max(axis=0)
+    cut = bool((low <= 0).any() or (high >= whole).any())
+    low, high = np.maximum(low - _MARGIN_PX, 0), np.minimum(high + _MARGIN_PX, whole)
+    box = slice(low[1], high[1]), slice(low[0], high[0])
+    chosen = Patch(kept[labels].astype(np.float64), left, top)
+    patch = Patch(image[box].astype(np.float64) - level, int(low[0]), int(low[1]))
+    lit = chosen.cut(patch) > 0.0
+    return LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
+
+
+def near(image: FloatArray, lit: BoolArray) -> FloatArray:
+    """Return an image (h, w) with 0 where no pixel of ``lit`` (h, w) is within two pixels: the blur of the optics."""
+    grown = cv2.dilate(lit.astype(np.uint8), np.ones((5, 5), dtype=np.uint8))
+    return np.where(grown > 0, image, 0.0)
+
+
+def _sky(image: Image) -> tuple[float, float]:
+    """Level and standard deviation of the sky, in the darkest of 64 blocks of an image (H, W), of about 128 rows of it.
+
+    Where noise is smaller than a digital number most pixels have the level itself, and their median deviation is 0. So
+    the mean square of the pixels that are darker than the level, which no body has, is taken too.
+    """
+    some = image[:: max(1, image.shape[0] // _SKY_ROWS)]
+    blocks = [part for rows in np.array_split(some, 8) for part in np.array_split(rows, 8, axis=1)]
+    level, noise = background_of(min(blocks, key=lambda block: float(block.mean())))
+    fall = level - some[some < level].astype(np.float64)
+    below = np.sqrt((fall**2).sum() / max(len(fall) + 0.5 * np.count_nonzero(some == level), 1.0))
+    return level, max(noise, float(below))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyView:
+    """Renderings of a body in windows of the image, by its distance from the camera.
+
+    ``radius_m`` is the radius of a sphere about the origin that holds the body, ``sun_dir_cam`` (3,) is in camera axes,
+    and ``blur_px`` the standard deviation of the point spread function.
+    """
+
+    renderer: ImageRenderer
+    radius_m: float
+    camera: Camera
+    sun_dir_cam: FloatArray
+    blur_px: float
+
+    def diameter_px(self, T_cam_body: Pose) -> float:
+        """Diameter of the sphere in the image, px."""
+        range_m = float(np.linalg.norm(T_cam_body.translation_m))
+        return 2.0 * self.radius_m / max(range_m, self.radius_m) / self.camera.pixel_angle_rad
+
+    def render(self, T_cam_body: Pose) -> Patch | None:
+        """Render the body in a window that has all of it; None if it is dark or behind the camera.
+
+        A small body is rendered enlarged, and pixels are means of squares.
+        """
+        middle_px = self.camera.project(T_cam_body.translation_m)
+        diameter_px = self.diameter_px(T_cam_body)
+        if not np.isfinite(middle_px).all() or diameter_px > 4 * max(self.camera.width_px, self.camera.height_px):
+            return None
+        # Off the boresight a sphere is an ellipse, longer by the secant of its angle.
+        half = int(np.ceil(0.5 * diameter_px * float(np.linalg.norm(T_cam_body.translation_m))
+                           / float(T_cam_body.translation_m[2]))) + _MARGIN_PX  # fmt: skip
+        column, row = (int(value) - half for value in np.floor(middle_px))
+        enlarged = int(np.clip(np.ceil(_RENDERED_PX / diameter_px), 1, _MOST_ENLARGED))
+        camera = self.camera
+        window = Camera(
+            2 * half * enlarged,
+            2 * half * enlarged,
+            camera.fx_px * enlarged,
+            camera.fy_px * enlarged,
+            (camera.cx_px - column) * enlarged,
+            (camera.cy_px - row) * enlarged,
+        )
+        image = self.renderer.render(View(window, T_cam_body, T_cam_body.rotation.T @ self.sun_dir_cam))
+        if not image.any():
+            return None
+        image = cv2.resize(np.asarray(image, dtype=np.float64), (2 * half, 2 * half), interpolation=cv2.INTER_AREA)
+        if self.blur_px > 0.0:
+            image = cv2.GaussianBlur(image, (0, 0), self.blur_px)
+        return Patch(np.asarray(image, dtype=np.float64), column, row)

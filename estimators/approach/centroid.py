@@ -1,0 +1,101 @@
+"""The estimator ``centroid``: the line of sight by the centre of brightness of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field
+
+from boresight.estimators.approach.body import BodyView, Patch
+from boresight.estimators.approach.sight import Sighting, SightOptions, centroid_px, estimate_sight
+from boresight.estimators.contract import Assets, Estimate, ImageRenderer
+from boresight.estimators.landmark.database import DatabaseOptions
+from boresight.estimators.landmark.recognizer import landmark_database
+from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.base import SpecModel
+
+
+class CentroidOptions(SightOptions):
+    """Options of ``centroid``."""
+
+    shape: Literal["onboard", "landmark-mesh"] = Field(
+        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
+    )
+    database: DatabaseOptions = DatabaseOptions()
+
+
+class CentroidEstimator:
+    """Shifts the prior until the brightness centroids of a rendering of the shape and of the image coincide.
+
+    The position across the line of sight is measured and fused with the prior; the attitude stays that of the prior.
+    The rendering corrects the centroid for phase, shape and reflectance. The covariance holds the noise of the image,
+    the difference of image and rendering, and what the errors of the prior's attitude and range do to the centroid.
+
+    Use it when
+    -----------
+    The whole body is in the image, from three pixels on, and the position across the line of sight is enough; or to
+    measure the first stage of ``landmark-harris`` by itself, with ``shape: landmark-mesh``.
+
+    It fails when
+    -------------
+    The image shows no body, the frame cuts it, or the rendering is out of view or in the dark. The centroid is biased
+    where the onboard reflectance or direction to the Sun is wrong, and where much of the body is dark.
+
+    Cost
+    ----
+    0.24 s an image of ``quickstart``.
+
+    Source
+    ------
+    Rowell et al. (2015), section 3.2, equations (11) to (13); the covariance is ours.
+    """
+
+    name: ClassVar[str] = "centroid"
+    version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = CentroidOptions
+
+    def __init__(self, renderer: ImageRenderer, radius_m: float, options: CentroidOptions) -> None:
+        self._renderer, self._radius_m, self._options = renderer, radius_m, options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and the onboard shape or the landmark data base."""
+        parsed = parse_options(CentroidOptions, options, cls.name)
+        mesh = assets.shape()
+        if parsed.shape == "landmark-mesh":
+            mesh = landmark_database(parsed.database, assets, cls.name).mesh()
+        return cls(assets.mesh_renderer(mesh), mesh.radius_m, parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose by shifting the prior.
+
+        Diagnostics are ``centroid_du_px``, ``centroid_dv_px`` and their length ``centroid_offset_px`` (observed minus
+        rendered, both at the prior pose), ``extent_px`` (longer side of the observed body's bounding box),
+        ``diameter_px`` (of the disc with the observed body's area), ``centroid_iterations``, ``correlation`` of image
+        and rendering, and ``shift_sigma_px``. ``rng`` is not used.
+        """
+        del rng
+        options, frame = self._options, observation.frame
+        view = BodyView(self._renderer, self._radius_m, observation.camera, frame.sun_dir_cam, options.blur_px)
+        return estimate_sight(observation, view, CENTROID, options.alignment_loop)
+
+
+def centroid_shift(observed: Patch, rendered: Patch) -> FloatArray:
+    """Difference (2,) of the brightness centroids, px."""
+    return centroid_px(observed) - centroid_px(rendered)
+
+
+def centroid_weights(observed: FloatArray, rendered: FloatArray) -> FloatArray:
+    """Return the derivatives (2, h, w) of the centroid by the observed pixels: (x - c) / total on the body, or 0."""
+    rows, columns = np.mgrid[: observed.shape[0], : observed.shape[1]]
+    place, total = np.stack([columns, rows]), observed.sum()
+    centre = (place * observed).sum(axis=(1, 2)) / total
+    used = (observed != 0.0) | (rendered > 0.0)
+    return np.asarray((place - centre[:, None, None]) * used / total)
+
+
+CENTROID = Sighting("centroid", centroid_shift, centroid_weights)

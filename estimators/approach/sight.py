@@ -1,0 +1,154 @@
+"""The line of sight to a body, from a rendering of it that is shifted onto the image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from boresight.estimators.approach.body import BodyView, LitBody, Patch, find_body, near
+from boresight.estimators.approach.fusion import fuse, grouped_covariance
+from boresight.estimators.contract import Estimate, Stage, Stopwatch
+from boresight.estimators.dense.gauss_newton import reduced_camera
+from boresight.estimators.landmark.alignment import AlignmentOptions, translation_update
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.base import SpecModel
+
+_CELLS = 4
+_DERIVATIVE_PX = 100.0
+
+
+class SightOptions(SpecModel):
+    """Options of methods that measure the line of sight."""
+
+    alignment_loop: AlignmentOptions = Field(
+        AlignmentOptions(tolerance_px=0.1), description="Done when the rendering is shifted by less than the tolerance"
+    )
+    blur_px: float = Field(0.5, ge=0, le=20, description="Point spread function with which the rendering is blurred")
+
+
+Shift = Callable[[Patch, Patch], FloatArray]
+"""(observed, rendered) -> (2,) shift, px, that takes the rendering onto the observed body."""
+Weights = Callable[[FloatArray, FloatArray], FloatArray]
+"""(observed, rendered), both (h, w) and equally bright -> (2, h, w) derivatives of the shift by the observed pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A way to measure the shift of a rendering: its name, which is the stage's, the shift and its derivatives.
+
+    ``misfit_m`` is the RMS distance of the rendered surface from the onboard shape. If the outline has such errors,
+    independent in each of the six arcs of the lit half, a shift by its points has the variance 2 / 6 times as large.
+    """
+
+    name: str
+    shift: Shift
+    weights: Weights
+    misfit_m: float = 0.0
+
+
+def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop: AlignmentOptions) -> Estimate:
+    """Shift the prior across the line of sight until rendering and image coincide, and fuse it with the prior.
+
+    The range and the attitude are those of the prior. What their errors do to the shift is found by renderings that
+    differ by the prior's standard deviations, see `fuse`.
+
+    The covariance of the shift is that of a linear function of the pixels' errors. These are the difference of image
+    and rendering, which errors of shape, reflectance and noise make; they are correlated within the 16 cells of the
+    body's box and not between them, see `grouped_covariance`. The noise of the sky is added.
+    """
+    frame, camera, clock = observation.frame, observation.camera, Stopwatch()
+    prior = frame.prior_T_cam_body
+    with clock(how.name):
+        body = find_body(frame, camera, view.diameter_px(prior))
+    if isinstance(body, str):
+        return Estimate("failed", body, timings_s=clock.seconds)
+    told: dict[str, float | int | str] = {
+        "extent_px": body.extent_px, "diameter_px": float(np.sqrt(4.0 / np.pi * np.count_nonzero(body.lit))),
+    }  # fmt: skip
+    if body.cut:
+        return Estimate("failed", "the frame cuts the body", diagnostics=told, timings_s=clock.seconds)
+    pose, count, shift_px = prior, 0, np.full(2, np.inf)
+    while count < loop.max_iterations and np.linalg.norm(shift_px) >= loop.tolerance_px:
+        with clock("mesh_rendering"):
+            found = _bright_part(view.render(pose), body)
+        if found is None:
+            failure = "the rendered body is out of view or in the dark"
+            return Estimate("failed", failure, diagnostics=told, timings_s=clock.seconds)
+        rendered = found
+        with clock(how.name):
+            shift_px, point_px = how.shift(body.patch, rendered), centroid_px(rendered)
+        if count == 0:
+            names = (f"{how.name}_{part}_px" for part in ("du", "dv", "offset"))
+            told |= dict(zip(names, (*shift_px.tolist(), float(np.linalg.norm(shift_px))), strict=True))
+        last, pose = pose, translation_update(pose, point_px + shift_px, point_px, camera)
+        count += 1
+    with clock(how.name):
+        covariance_px2, correlation = _shift_covariance(body, rendered, how.weights)
+        scale_px = 1.0 / (float(np.linalg.norm(last.translation_m)) * camera.pixel_angle_rad)
+        covariance_px2 += (how.misfit_m * scale_px) ** 2 / 3.0 * np.eye(2)
+        told |= {f"{how.name}_iterations": count, "correlation": correlation}
+        told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
+    with clock("mesh_rendering"):
+        by_pose = _by_pose(view, last, body, how, frame.prior_covariance)
+    measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
+    fused = fuse(observation, measured, by_pose, covariance_px2)
+    return replace(fused, stages=(Stage(how.name, fused.pose or prior),), diagnostics=told, timings_s=clock.seconds)
+
+
+def centroid_px(patch: Patch) -> FloatArray:
+    """Centre of brightness (2,), px of the image, of a patch whose background is 0."""
+    columns, rows = patch.centres()
+    moments = np.array([(patch.image * columns).sum(), (patch.image * rows).sum()])
+    return np.asarray(moments / patch.image.sum())  # eq. (12)
+
+
+def _bright_part(rendered: Patch | None, body: LitBody, reduction: int = 1) -> Patch | None:
+    """Return a rendering as bright as the body, with 0 where it is darker than the body's floor, as in the image."""
+    if rendered is None:
+        return None
+    image = rendered.image * (body.patch.image.sum() / (rendered.image.sum() * reduction**2))
+    image = near(image, image > body.floor)
+    return replace(rendered, image=image) if image.any() else None
+
+
+def _shift_covariance(body: LitBody, rendered: Patch, weights: Weights) -> tuple[FloatArray, float]:
+    """Return the covariance (2, 2) of the shift, px^2, and the correlation coefficient of image and rendering."""
+    observed, model = body.patch.cut(rendered), rendered.image
+    model = model * ((observed * model).sum() / (model**2).sum())
+    weight = weights(observed, model).reshape(2, -1)
+    rows, columns = np.nonzero(model)
+    extent = max(np.ptp(rows), np.ptp(columns)) + 1
+    row, column = (np.arange(side) * _CELLS // extent for side in model.shape)
+    cell = (row[:, None] * model.size + column).ravel()
+    covariance = grouped_covariance((weight * (observed - model).ravel()).T, cell, 3)
+    covariance += body.noise**2 * weight @ weight.T
+    return covariance, float(np.corrcoef(observed.ravel(), model.ravel())[0, 1])
+
+
+def _by_pose(view: BodyView, pose: Pose, body: LitBody, how: Sighting, covariance: FloatArray) -> FloatArray:
+    """Return the derivative (2, 6) of the measured pixel by [rotation_rad, translation_m].
+
+    Across the line of sight it is that of the body's origin. Along it, and by the attitude, it is the shift between
+    renderings that differ by the prior's standard deviation; 0 about axes without an error. They have as few pixels as
+    derivatives need.
+    """
+    sight = pose.translation_m / np.linalg.norm(pose.translation_m)
+    across = view.camera.jacobian(pose.translation_m) @ (np.eye(3) - np.outer(sight, sight))
+    found, along = np.hstack([np.zeros((2, 3)), across]), np.concatenate([np.zeros(3), sight])
+    reduction = max(1, int(view.diameter_px(pose) / _DERIVATIVE_PX))
+    small = replace(view, camera=reduced_camera(view.camera, reduction))
+    rendered = _bright_part(small.render(pose), body, reduction)
+    for direction in (*np.eye(6)[:3], along):
+        sigma = float(np.sqrt(direction @ covariance @ direction))
+        if not sigma > 0.0:
+            continue
+        changed = pose.perturbed(sigma * direction[:3], sigma * direction[3:])
+        moved = _bright_part(small.render(changed), body, reduction)
+        if rendered is not None and moved is not None:
+            found += np.outer(reduction * how.shift(moved, rendered) / sigma, direction)
+    return found
