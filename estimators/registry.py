@@ -143,6 +143,7 @@ ESTIMATORS: Registry[Estimator] = Registry(
     own={
         "centroid": "boresight.estimators.approach.centroid:CentroidEstimator",
         "centroid-phase": "boresight.estimators.approach.matching:LambertCorrelation",
+        "limb": "boresight.estimators.approach.limb:LimbEstimator",
         "silhouette": "boresight.estimators.approach.matching:SilhouetteEstimator",
         "landmark-harris": "boresight.estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "boresight.estimators.altimeter:AltimeterEstimator",

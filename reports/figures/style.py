@@ -70,7 +70,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">", "p", "h")
 _METHODS = {
     GREY: "prior dead-reckoning",
     BLUE: "landmark-harris ba-slam crater-classic context batch-filter",
-    SKY: "whole-image minimal-sets batch",
+    SKY: "whole-image minimal-sets batch limb",
     ORANGE: "landmark-ransac ekf-slam gtsam-fixed-lag crater-learned hybrid",
     PURPLE: "photometric consistent-ekf-slam correlation",
     GREEN: "lmaps fixed-lag vote crater-heat-map silhouette",

@@ -21,7 +21,7 @@ from boresight.scenarios.spec.camera import DetectorSpec
 CAMERA = Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0)
 BODY = EMBEDDED["contact-binary"]()
 SIGHTS = ("centroid", "centroid-phase", "silhouette")
-METHODS = SIGHTS
+METHODS = (*SIGHTS, "limb")
 TRIALS = 24
 
 
@@ -98,6 +98,15 @@ def test_the_covariance_is_that_of_the_errors(solved):
     assert 0.35 < np.mean(squares) < 1.6
 
 
+def test_the_limb_gives_the_range():
+    errors = []
+    for trial in range(8):
+        truth, seen = observed(trial, size_px=100.0)
+        found = estimate("limb", seen)
+        errors.append(found.pose.translation_m[2] / truth.translation_m[2] - 1.0)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.005  # half of the prior's
+
+
 @pytest.mark.parametrize("name", SIGHTS)
 @pytest.mark.parametrize("trial", [1, 2])
 def test_three_pixels_are_enough(name, trial):
@@ -141,9 +150,19 @@ def test_an_image_without_the_body_is_a_failure(name, image, reason):
         estimate(name, replace(seen, frame=replace(seen.frame, image=image[:100])))
 
 
-@pytest.mark.parametrize("name", SIGHTS)
-def test_a_body_that_the_frame_cuts_is_a_failure(name):
-    assert estimate(name, observed(0, middle_px=(60.0, 0.0))[1]).reason == "the frame cuts the body"
+def test_the_frame_cuts_the_body():
+    """The limb is still good, where it is in the image; what needs the whole body says why it fails."""
+    truth, seen = observed(0, middle_px=(60.0, 0.0))
+    for name in SIGHTS:
+        assert estimate(name, seen).reason == "the frame cuts the body"
+    found = estimate("limb", seen)
+    error = CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)
+    assert found.status == "ok" and np.linalg.norm(error) < 1.0
+
+
+@pytest.mark.parametrize("size_px", [3.0, 1500.0])
+def test_too_little_limb_is_a_failure(size_px):
+    assert "fewer than points_min 12 points of the lit limb" in estimate("limb", observed(1, size_px)[1]).reason
 
 
 def test_only_the_body_is_found():

@@ -1,0 +1,120 @@
+"""The outline of a shape in an image: its outermost points on rays from a centre."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.compiled import compiler
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
+
+kernel, inner = compiler(Path(__file__).parent)
+
+_TANGENT_PX = 2.0
+
+
+class ShapeOutline:
+    """The outline of a closed mesh, with the edges of its facets found once."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        faces = mesh.faces.astype(np.int64)
+        ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        key = ends[:, 0] * len(mesh.vertices_m) + ends[:, 1]
+        # Both facets of an edge are neighbours in the order of the edges.
+        order = np.argsort(key, kind="stable")
+        pairs = np.flatnonzero(key[order][:-1] == key[order][1:])
+        self._edges = np.column_stack([ends[order[pairs]], order[pairs] // 3, order[pairs + 1] // 3])
+        self._vertices_m, self._corner = np.array(mesh.vertices_m), faces[:, 0].copy()
+        self._area_vectors_m2 = np.array(mesh.area_vectors_m2)
+
+    def at(
+        self, T_cam_body: Pose, camera: Camera, centre_px: FloatArray, rays: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the outermost points on the rays of `ray_directions` from ``centre_px`` in the image.
+
+        Radii (count,), px, and the points (count, 3), m, camera axes; NaN on rays that meet no outline in front of the
+        camera.
+        """
+        edges = silhouette(
+            self._vertices_m, self._corner, self._area_vectors_m2, self._edges, T_cam_body.camera_position_m
+        )
+        pinhole = np.array([camera.fx_px, camera.fy_px, *(np.array([camera.cx_px, camera.cy_px]) - centre_px)])
+        pose = np.column_stack([T_cam_body.rotation, T_cam_body.translation_m])
+        return outermost(self._vertices_m, edges, pose, pinhole, rays)
+
+
+@kernel
+def silhouette(
+    vertices_m: FloatArray, corner: IndexArray, area_vectors_m2: FloatArray, edges: IndexArray, camera_m: FloatArray
+) -> IndexArray:
+    """Return the vertices (k, 2) of the edges (E, 4) between a facet that is seen from the front and another."""
+    facing = np.empty(len(corner), dtype=np.bool_)
+    for facet in range(len(corner)):
+        v, n = vertices_m[corner[facet]], area_vectors_m2[facet]
+        facing[facet] = n[0] * (camera_m[0] - v[0]) + n[1] * (camera_m[1] - v[1]) + n[2] * (camera_m[2] - v[2]) > 0.0
+    found, count = np.empty((len(edges), 2), dtype=np.int64), 0
+    for edge in range(len(edges)):
+        if facing[edges[edge, 2]] != facing[edges[edge, 3]]:
+            found[count, 0], found[count, 1] = edges[edge, 0], edges[edge, 1]
+            count += 1
+    return found[:count]
+
+
+@kernel
+def outermost(
+    vertices_m: FloatArray, edges: IndexArray, pose: FloatArray, pinhole: FloatArray, rays: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the outermost crossings of projected edges (E, 2) with rays (count, 2), see `ShapeOutline.at`.
+
+    ``pose`` (3, 4) takes vertices to the camera, and ``pinhole`` has the focal lengths and the principal point, px,
+    from the centre of the rays.
+    """
+    count = len(rays)
+    radius, point = np.full(count, np.nan), np.full((count, 3), np.nan)
+    ends, uv = np.empty((2, 3)), np.empty((2, 2))
+    for edge in range(len(edges)):
+        for end in range(2):
+            vertex = vertices_m[edges[edge, end]]
+            for axis in range(3):
+                row = pose[axis]
+                ends[end, axis] = row[0] * vertex[0] + row[1] * vertex[1] + row[2] * vertex[2] + row[3]
+            for axis in range(2):
+                uv[end, axis] = pinhole[axis] * ends[end, axis] / ends[end, 2] + pinhole[2 + axis]
+        z0, z1 = ends[0, 2], ends[1, 2]
+        if not (z0 > 0.0 and z1 > 0.0):
+            continue
+        start = np.arctan2(uv[0, 1], uv[0, 0]) * count / (2.0 * np.pi)
+        span = np.arctan2(uv[1, 1], uv[1, 0]) * count / (2.0 * np.pi) - start
+        # A segment is seen under less than half a turn.
+        span -= count * np.round(span / count)
+        for k in range(int(np.ceil(min(start, start + span))), int(np.floor(max(start, start + span))) + 1):
+            c, s = rays[k % count, 0], rays[k % count, 1]
+            first, second = c * uv[0, 1] - s * uv[0, 0], c * uv[1, 1] - s * uv[1, 0]
+            share = 0.5 if first == second else first / (first - second)
+            r = c * (uv[0, 0] + share * (uv[1, 0] - uv[0, 0])) + s * (uv[0, 1] + share * (uv[1, 1] - uv[0, 1]))
+            if r > 0.0 and not r <= radius[k % count]:
+                radius[k % count] = r
+                # The inverse of the depth is linear along the segment in the image.
+                place = share * z0 / ((1.0 - share) * z1 + share * z0)
+                point[k % count] = ends[0] + place * (ends[1] - ends[0])
+    return radius, point
+
+
+def ray_directions(count: int) -> FloatArray:
+    """Return unit directions (count, 2) in the image at the angles 2 pi k / count, from columns towards rows."""
+    angle = np.arange(count) * (2.0 * np.pi / count)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def outline_normals(radius_px: FloatArray, rays: FloatArray) -> FloatArray:
+    """Outward unit normals (n, 2) of an outline by its radii (n,) on rays (n, 2); NaN beside missing radii.
+
+    The tangent spans a few pixels, as the blur of an image does: single facets are smaller.
+    """
+    place, n = radius_px[:, None] * rays, len(rays)
+    step = max(1, round(_TANGENT_PX * n / (2.0 * np.pi * max(float(np.nanmean(radius_px)), 1.0))))
+    along = np.roll(place, -step, axis=0) - np.roll(place, step, axis=0)
+    normal = np.column_stack([along[:, 1], -along[:, 0]])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))

@@ -1,0 +1,105 @@
+"""The outline of shapes, profiles across the limb and the covariance of an arc, against closed forms and OpenCV."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+from test_approach_geometry import CAMERA, MESH, POSE, dual_outline
+
+from boresight.estimators.approach import limb
+from boresight.estimators.approach.body import Patch
+from boresight.estimators.approach.ellipsoid import Ellipsoid
+from boresight.estimators.approach.limb import limb_covariance
+from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
+from boresight.estimators.approach.profile import ACROSS_PX, fit_limb, sampled
+from boresight.scenarios.bodies.embedded import icosphere
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, View, look_at
+from boresight.scenarios.observation import Frame
+
+
+def test_the_outline_of_an_ellipsoid_is_its_dual_conic():
+    rays, centre = ray_directions(180), CAMERA.project(POSE.translation_m)
+    radius, points = ShapeOutline(MESH).at(POSE, CAMERA, centre, rays)
+    outline = centre + radius[:, None] * rays
+    np.testing.assert_allclose(CAMERA.project(points), outline, atol=1e-6)
+    ellipse = Ellipses.from_conics(dual_outline()[None])
+    fitted, size, _ = cv2.fitEllipse(outline.astype(np.float32))
+    np.testing.assert_allclose(fitted, ellipse.centre_px[0], atol=0.02)
+    np.testing.assert_allclose(sorted(size)[::-1], 2.0 * ellipse.semi_axes_px[0], atol=0.1)
+    # The gradient of the conic is along its normal.
+    gradient = np.column_stack([outline, np.ones(180)]) @ dual_outline()[:, :2]
+    gradient /= np.linalg.norm(gradient, axis=1)[:, None] * np.sign(np.einsum("ni,ni->n", gradient, rays))[:, None]
+    assert np.einsum("ni,ni->n", gradient, outline_normals(radius, rays)).min() > np.cos(np.radians(2.0))
+
+
+def test_rays_from_outside_meet_the_far_side_or_nothing():
+    rays = ray_directions(36)
+    centre = CAMERA.project(POSE.translation_m) - [400.0, 0.0]
+    radius, points = ShapeOutline(MESH).at(POSE, CAMERA, centre, rays)
+    assert np.isfinite(radius[0]) and radius[0] > 400.0
+    assert np.isnan(radius[18]) and np.isnan(points[18]).all()
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["lambert", "flat"])
+@pytest.mark.parametrize("phase_deg", [5.0, 30.0, 80.0, 120.0])
+def test_the_profile_finds_the_limb(phase_deg, flat):
+    """A ball of 60 px, drawn eight times as fine: lit by Lambert's law, or as bright wherever it is lit."""
+    sun = np.array([np.sin(np.radians(phase_deg)), 0.0, -np.cos(np.radians(phase_deg))])
+    fine = Camera(100 * 8, 100 * 8, 8e4, 8e4, 50.3 * 8, 49.6 * 8)
+    pose = look_at(np.array([0.0, 0.0, -1000.0]))
+    ball = Ellipsoid(np.zeros(3), np.eye(3) / 3.0**2)
+    image = ball.render(View(fine, pose, pose.rotation.T @ sun)).astype(np.float64)
+    image = (image > 0.0).astype(np.float64) if flat else image
+    image = gaussian_filter(cv2.resize(image, (100, 100), interpolation=cv2.INTER_AREA), 0.7)
+    angle = np.radians(np.linspace(-50.0, 50.0, 21))
+    normals = np.column_stack([np.cos(angle), np.sin(angle)])
+    limb = [50.3, 49.6] + 30.0 * normals
+    samples = sampled(Patch(image, 0, 0), limb[:, None] + ACROSS_PX[:, None] * normals[:, None])
+    towards = np.column_stack([normals @ sun[:2], np.full(21, -sun[2])])
+    place, level = fit_limb(samples, towards, np.full(21, 0.5), 30.0, 0.7)
+    assert np.abs(place).max() < (0.08 if phase_deg < 100 else 0.3)
+    assert abs(place.mean()) < (0.06 if phase_deg < 100 else 0.1)
+    assert (level > 0.0).all()
+
+
+@pytest.mark.parametrize("half_deg", [40.0, 90.0, 180.0])
+def test_the_covariance_of_an_arc(half_deg):
+    """Simulated: circles through noisy points of an arc, by SciPy."""
+    focal, radius_m, range_m, sigma, n = 2000.0, 100.0, 4000.0, 0.1, 60
+    rng = np.random.default_rng(3)
+    theta = np.radians(np.linspace(-half_deg, half_deg, n, endpoint=False) + half_deg / n)
+    normal, radius_px = np.column_stack([np.cos(theta), np.sin(theta)]), focal * radius_m / range_m
+    found = []
+    for _ in range(400):
+        points = (radius_px + rng.normal(0.0, sigma, n))[:, None] * normal
+
+        def distance(x, points=points):
+            centre, z = focal * x[:2] / (range_m + x[2]), range_m + x[2]
+            return np.linalg.norm(points - centre, axis=1) - focal * radius_m / z
+
+        found.append(least_squares(distance, np.zeros(3), x_scale=[1.0, 1.0, 30.0]).x)
+    stated = limb_covariance(n, sigma, np.radians(half_deg), radius_m, range_m, focal)
+    # 400 trials: 3.5 % of a standard deviation, 1 sigma.
+    np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(stated)), rtol=0.15)
+    if half_deg < 180.0:
+        together = np.corrcoef(np.array(found).T)[0, 2]
+        assert together == pytest.approx(stated[0, 2] / np.sqrt(stated[0, 0] * stated[2, 2]), abs=0.1)
+    with pytest.raises(BoresightError, match="half-angle"):
+        limb_covariance(n, sigma, 0.0, radius_m, range_m, focal)
+
+
+def test_the_closed_form_of_an_arc_is_the_fit_s():
+    """A sphere of 200 px on the boresight with the Sun to the right: the points of the fit make the same covariance."""
+    camera, ball = Camera(400, 400, 2000.0, 2000.0, 200.0, 200.0), icosphere(5, 100.0)
+    pose = look_at(np.array([0.0, -2000.0, 0.0]))
+    sun, none = np.array([1.0, 0.0, 0.0]), np.zeros((400, 400), np.float32)
+    scene = limb._Scene(None, Frame(none, sun, pose, np.eye(6)), camera, ray_directions(240))
+    points = limb.LimbEstimator(ball, limb.LimbOptions())._limb_at(scene, pose, np.array([200.0, 200.0]))
+    found = 0.1**2 * np.linalg.inv(points.by_position.T @ points.by_position)
+    half = np.arccos(points.normals[:, 0].min())
+    stated = limb.limb_covariance(len(points.ray), 0.1, half, 100.0, 2000.0, 2000.0)
+    assert 1.2 < half < np.pi / 2
+    np.testing.assert_allclose(np.diag(found), np.diag(stated), rtol=0.15)
+    assert found[0, 2] == pytest.approx(stated[0, 2], rel=0.15)
