@@ -75,7 +75,8 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
 
     It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
     and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
-    divide a body. Raise BoresightError if the image does not have the camera's size.
+    divide a body. Groups within five standard deviations of where the prior has the body come first: stars may be
+    larger than a small body. Raise BoresightError if the image does not have the camera's size.
     """
     image = frame.image
     if image.shape != (camera.height_px, camera.width_px):
@@ -100,7 +101,11 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     areas[0] = 0  # the sky
     if areas.max() < _LEAST_PIXELS:
         return f"the image shows no body: no {_LEAST_PIXELS} neighbouring pixels are brighter than the sky"
-    apart_px = np.linalg.norm(middles - middles[int(areas.argmax())], axis=1)
+    expected_px, reach_px = _expected(frame, camera)
+    near_prior = np.linalg.norm(middles - (expected_px - [left, top]), axis=1) <= reach_px + diameter_px
+    preferred = np.where(near_prior & (areas >= _LEAST_PIXELS), areas, 0)
+    largest = int((preferred if preferred.any() else areas).argmax())
+    apart_px = np.linalg.norm(middles - middles[largest], axis=1)
     kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX)
     first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
     whole = np.array([camera.width_px, camera.height_px])
@@ -112,6 +117,14 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     patch = Patch(image[box].astype(np.float64) - level, int(low[0]), int(low[1]))
     lit = chosen.cut(patch) > 0.0
     return LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
+
+
+def _expected(frame: Frame, camera: Camera) -> tuple[FloatArray, float]:
+    """Return where the prior has the body's origin (2,), px, and five standard deviations of that, px."""
+    translation_m = frame.prior_T_cam_body.translation_m
+    by_position = camera.jacobian(translation_m)
+    covariance_px2 = by_position @ frame.prior_covariance[3:, 3:] @ by_position.T
+    return camera.project(translation_m), _SIGMAS * float(np.sqrt(np.trace(covariance_px2)))
 
 
 def near(image: FloatArray, lit: BoolArray) -> FloatArray:

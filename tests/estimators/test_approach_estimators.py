@@ -165,6 +165,16 @@ def test_too_little_limb_is_a_failure(size_px):
     assert "fewer than points_min 12 points of the lit limb" in estimate("limb", observed(1, size_px)[1]).reason
 
 
+def test_a_star_is_not_taken_for_a_small_body():
+    """It is larger than the body, and fifty pixels from where the prior has the body."""
+    truth, seen = observed(1, size_px=3.0)
+    u, v = (int(value) for value in CAMERA.project(truth.translation_m))
+    image = seen.frame.image.copy()
+    image[v - 2 : v + 3, (u + 70) % 150 : (u + 70) % 150 + 5] = 4000.0
+    found = estimate("centroid", replace(seen, frame=replace(seen.frame, image=image)))
+    assert np.linalg.norm(CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)) < 0.3
+
+
 def test_only_the_body_is_found():
     """Shadows divide a body; a star, and a hot pixel, are no part of it. Most pixels of the sky are equal."""
     image = np.full((128, 160), 10.0, np.float32)
