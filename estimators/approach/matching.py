@@ -80,7 +80,8 @@ class LambertCorrelation(SilhouetteEstimator):
     It fails when
     -------------
     The image shows no body, the frame cuts it, or the ellipsoid is out of view or in the dark. An irregular body pulls
-    the ellipsoid towards its lit part, by a few hundredths of its diameter.
+    the ellipsoid towards its lit part: over 300 px of Itokawa by 6 px at phase angles below 30 deg, and by 21 px from
+    110 to 140 deg (6 images each); the covariance is then too small, mean NEES 6.3 and 37, 6 expected.
 
     Cost
     ----
