@@ -128,5 +128,14 @@ def test_an_image_noisier_than_the_average_has_a_larger_covariance():
         np.mean([np.trace(_adjusted(CentreErrors(), rng, scale=s, told=told)[1]) for _ in range(20)])
         for s in (1.0, 2.0)
     ]
-    assert sizes[1] / sizes[0] == pytest.approx((4.0 * 116.0 + 10.0) / 126.0, rel=0.1)
+    assert sizes[1] / sizes[0] == pytest.approx((4.0 * 116.0 + 8.0) / 124.0, rel=0.1)
     assert CentreErrors(variance=2.0).image_variance(1e6, 10.0) == 2.0
+
+
+def test_the_variance_of_an_image_is_that_of_draws_with_its_chi_square():
+    """Images of six degrees of freedom, whose variances are drawn: the mean of those whose chi-square is about 20."""
+    rng, law = np.random.default_rng(8), CentreErrors(variance=1.5, freedom=6.0)
+    variances = 4.0 * 1.5 / rng.chisquare(6.0, 2_000_000)
+    squares = variances * rng.chisquare(6.0, len(variances))
+    near = np.abs(squares - 20.0) < 0.5
+    assert law.image_variance(20.0, 6.0) == pytest.approx(variances[near].mean(), rel=0.01)

@@ -28,8 +28,9 @@ class _Residuals:
 def measure_centre_errors(database: CraterDatabase, options: CraterAssociationOptions) -> CentreErrors:
     """Return the law of the errors of centres by maximum likelihood of the residuals of a database's sightings.
 
-    Its poses are known far better than a pixel, so that residuals that the craters of a picture have in common are
-    errors of the detector. ``options`` state the deviation of a sighting and the largest that is taken for a right one.
+    The poses of its images must be known far better than a pixel: residuals that the craters of a picture have in
+    common are taken for errors of the detector, and so would be those of a pose. ``options`` state the deviation of a
+    sighting and the largest that is taken for a right one.
     Correlation and length are those of a grid. The freedom of the images' variances follows from their spread, by
     moments: the variance of a scaled inverse chi-square of v degrees is 2 / (v - 4) of its squared mean.
     Errors are independent, and as large as stated, if the database has too few sightings to tell.
@@ -55,8 +56,8 @@ def measure_centre_errors(database: CraterDatabase, options: CraterAssociationOp
                 chosen = np.split(weighted, np.cumsum([len(one) for one in squares])[:-1])
     freedoms = np.array([2.0 * len(one) for one in chosen])
     ratios = np.array([one.sum() for one in chosen]) / freedoms / best.variance
-    # A chi-square over its degrees of freedom scatters by 2 / v itself.
-    excess = float(np.mean((ratios - 1.0) ** 2 - 2.0 / freedoms))
+    # A chi-square over its degrees of freedom v scatters by 2 / v of its squared scale: e + (1 + e) 2 / v in all.
+    excess = float(np.mean(((ratios - 1.0) ** 2 - 2.0 / freedoms) / (1.0 + 2.0 / freedoms)))
     freedom = 4.0 + 2.0 / excess if excess > 0.0 else np.inf
     return CentreErrors(best.variance, best.correlation, best.length_m, freedom)
 

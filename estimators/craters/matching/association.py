@@ -95,7 +95,8 @@ class CentreErrors:
 
     The same light and slopes displace neighbouring rims alike: two craters at a distance d correlate by
     ``correlation / (1 + d / length_m)``. ``variance`` is that of an average image. The variances of images are
-    scaled inverse chi-squares of ``freedom`` degrees of freedom; if infinite, all images have the average one.
+    scaled inverse chi-squares of ``freedom`` degrees of freedom, above 2, with that mean; if infinite, all images have
+    it.
     """
 
     variance: float = 1.0
@@ -111,10 +112,13 @@ class CentreErrors:
         return np.asarray(found, dtype=np.float64)
 
     def image_variance(self, square: float, freedom: float) -> float:
-        """Return the expected variance of an image whose errors have the chi-square ``square``."""
+        """Return the expected variance of an image whose errors have the chi-square ``square`` of so much freedom.
+
+        The mean of the posterior, a scaled inverse chi-square too: the mean of such a law is v s^2 / (v - 2).
+        """
         if not np.isfinite(self.freedom):
             return self.variance
-        return (square + self.freedom * self.variance) / (freedom + self.freedom)
+        return (square + (self.freedom - 2.0) * self.variance) / (freedom + self.freedom - 2.0)
 
 
 def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
