@@ -13,7 +13,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names, core_seconds, in_words, needs_of_scenario
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
-from boresight.reports.schema.records import count_of
+from boresight.reports.schema.records import CONTROLS, count_of
 from boresight.reports.statistics.requirements import read_requirement
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
@@ -72,6 +72,8 @@ def _check_requirements(campaign: ResolvedCampaign) -> None:
             read_requirement(asked.that, campaign.spec.experiment)
         except BoresightError as error:
             raise BoresightError(f"{where}: {error}") from error
+        if not asked.estimators and set(campaign.labels) <= set(CONTROLS):
+            raise BoresightError(f"{where}: {asked.that!r} is asked of no estimator: name some, or add one")
         for key, there in known.items():
             unknown = [name for name in getattr(asked, key) if name not in there]
             if unknown:

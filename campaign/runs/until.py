@@ -31,7 +31,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.compare.trials import metric_values
 from boresight.reports.kinds.requirements import judged
-from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.clusters import clusters_of, image_set
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.column import Measure
 from boresight.reports.schema.records import CONTROLS
@@ -101,15 +101,15 @@ class NarrowInterval:
 def until(text: str, campaign: ResolvedCampaign) -> Until:
     """Read what a run of a campaign is to wait for: ``requirements``, or the width of an interval.
 
-    Raise BoresightError if it cannot be read, or the campaign has no requirements, or real images: those repeat.
+    Raise BoresightError if it cannot be read, or the campaign has no requirements, or images that trials share.
     """
     if text.strip().lower() != REQUIREMENTS:
         narrow = parse_until(text, campaign.spec.experiment)
         return Until(narrow.written, narrow.look, 1, _OF_WIDTHS)
     if not campaign.spec.requirements:
         raise BoresightError(f"--until {text}: the campaign has no requirements: give it some")
-    if any(scenario.spec.real for scenario in campaign.scenarios):
-        raise BoresightError(f"--until {text}: more trials of real images are no new ones: give --trials")
+    if any(scenario.spec.real or image_set(scenario.spec.model_dump(mode="json")) for scenario in campaign.scenarios):
+        raise BoresightError(f"--until {text}: trials share images, more of them are no new ones: give --trials")
     return Until(REQUIREMENTS, _decided, 0, _OF_REQUIREMENTS)
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, product
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.compare.trials import trial_numbers
+from boresight.reports.compare.trials import nothing_to_find, trial_numbers
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.style import BLUE, ORANGE, finish, grid_figure, styled
 from boresight.reports.run.clusters import clusters_of
@@ -30,14 +30,15 @@ _QUANTILES = (0.99, 0.95, 0.9, 0.75, 0.5)
 _LEAST_TRIALS = 30
 _UNSOLVED = float(np.finfo(float).max)
 _NOTE = (
-    "A trial without an estimate misses. Reached: the limit that would just pass. Risk: probability of trials that"
-    " speak as much for the requirement where it is just not met. Further: trials without another miss that would pass"
-    " it. Each verdict has its own risk. The realisations of one real image count as one trial, which its worst"
-    " decides. With several data bases a verdict is of these."
+    "A trial without an estimate, or without the number, misses. Reached: the limit that would just pass. Risk:"
+    " probability of trials that speak as much for the requirement where it is just not met. Further: trials without"
+    " another miss that would pass it. Each verdict has its own risk. Trials that share a real image, or sequences that"
+    " share a set of images, count as one, which passes by its worst and fails by its best. With several data bases a"
+    " verdict is of these."
 )
 _LOOKED = (
-    " This run was looked at and went on: verdicts are of a test that holds at every look, and needs more trials than"
-    " one of a number of trials fixed beforehand."
+    " This run was looked at and went on, or is not finished: verdicts are of a test that holds at every look, and"
+    " needs more trials than one of a number of trials fixed beforehand."
 )
 _SWING_NOTE = (
     "The quantile among the third of all trials with the least and among that with the greatest value of a condition,"
@@ -80,14 +81,22 @@ def judged(run: RunData, *, trials: int | None = None, looked: bool = False) -> 
     """Judge every requirement of a run on each estimator but the controls, in each scenario.
 
     Of the first ``trials``, if they are given. ``looked``: the run may end after each look, as it may if its manifest
-    says so.
+    says so, or trials that were asked for are not there.
     """
     for requirement, scenario, estimator, values in _measured(run):
-        own = values if trials is None else values[run.rows.loc[values.index, "trial"] < trials]
+        numbers = run.rows.loc[values.index, "trial"]
+        again = looked or run.manifest.looked or len(values) < run.manifest.trials
+        own = values.dropna() if trials is None else values[numbers < trials].dropna()
         units = pd.Series(_units(run, run.rows.loc[own.index]), own.index)
-        worst = np.asarray(own.groupby(units, sort=False).max(), dtype=np.float64)
-        verdict = judge(requirement, worst, looked=looked or run.manifest.looked)
+        worst, best = (np.asarray(part, dtype=np.float64) for part in _ends(own, units))
+        verdict = judge(requirement, worst, best=best, looked=again, turns=max(1, run.databases))
         yield Judged(requirement, scenario, estimator, verdict)
+
+
+def _ends(values: pd.Series[float], units: pd.Series) -> tuple[pd.Series, pd.Series]:
+    """Return the worst and the best of each unit, in the order in which they come."""
+    grouped = values.groupby(units, sort=False)
+    return grouped.max(), grouped.min()
 
 
 def _measured(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Series[float]]]:
@@ -95,7 +104,8 @@ def _measured(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Series[f
     for asked in run.manifest.requirements:
         requirement = read_requirement(asked.that, run.manifest.experiment)
         values = _values(run, requirement.measure)
-        for scenario, estimator in run.pairs():
+        # Also a pair that no trial is stored of yet is asked.
+        for scenario, estimator in product(run.manifest.scenarios, map(str, run.manifest.estimators)):
             wanted = not asked.scenarios or scenario in asked.scenarios
             own = estimator in asked.estimators if asked.estimators else estimator not in CONTROLS
             if wanted and own:
@@ -108,7 +118,10 @@ def _units(run: RunData, rows: pd.DataFrame) -> NDArray[np.generic]:
 
 
 def _values(run: RunData, measure: str) -> pd.Series[float]:
-    """Return the measure of every row of a run, infinite for a failure; of a yes or no 0 for yes."""
+    """Return the measure of every row of a run, infinite for a failure; of a yes or no 0 for yes.
+
+    NaN where nothing is to be measured: no crater could be found, or the estimator does not tell its time.
+    """
     rows = run.rows
     ok = rows["status"] == "ok"
     if measure in YES_OR_NO:
@@ -118,10 +131,10 @@ def _values(run: RunData, measure: str) -> pd.Series[float]:
         times = run.table("timings")
         own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE])]
         total = own.groupby(["scenario", "estimator", "trial"], sort=False)[["seconds"]].sum().reset_index()
-        values = in_order_of(rows, total, ["seconds"])["seconds"]
-    else:
-        values = trial_numbers(run).get(measure, rows[measure] if measure in rows else pd.Series(np.nan, rows.index))
-    return values.astype(float).abs().where(ok, np.inf).fillna(np.inf)
+        return in_order_of(rows, total, ["seconds"])["seconds"].where(ok, np.inf)
+    values = trial_numbers(run).get(measure, rows[measure] if measure in rows else pd.Series(np.nan, rows.index))
+    sizes = values.astype(float).abs().where(ok, np.inf).fillna(np.inf)
+    return sizes.mask(nothing_to_find(run, measure_of(measure)))
 
 
 def swings(run: RunData, values: pd.Series[float], quantile: float) -> list[Swing]:
@@ -178,7 +191,8 @@ def requirement_grid(run: RunData) -> Grid | None:
         }
         for one in judged(run)
     ]
-    note = _NOTE + (_LOOKED if run.manifest.looked else "")
+    unfinished = len(run.rows) < run.manifest.trials * len(run.manifest.scenarios) * len(run.manifest.estimators)
+    note = _NOTE + (_LOOKED if run.manifest.looked or unfinished else "")
     return row_grid("Requirements", rows, ("requirement", "scenario", "estimator", "verdict"), note) if rows else None
 
 

@@ -14,15 +14,16 @@ from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
-import pyarrow as pa
 from scipy.special import bdtr, bdtrc, betainc, betaincc, betaln
 
-from boresight.reports.schema.tables import columns_of, kind_schema
+from boresight.reports.schema.tables import AFTER_REVOLUTIONS, columns_of, kind_schema
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 
 PASS, FAIL, UNDECIDED = "pass", "fail", "undecided"
 YES_OR_NO, SECONDS = ("solved", "success"), "seconds"
+_MORE = ("nees", "mean_position_nees", "position_sigma_m", "attitude_sigma_deg")
+"""Numbers of rows that are no errors and can be required."""
 
 _NUMBER = r"[+-]?\d*\.?\d+(?:e[+-]?\d+)?"
 _WRITTEN = re.compile(
@@ -78,12 +79,14 @@ def read_requirement(text: str, experiment: str) -> Requirement:
     Raise BoresightError if it cannot be read, or names no measure of that kind.
     """
     asked = parse_requirement(text)
-    numbers = [c.name for c in columns_of("rows", experiment) if c.type in (pa.float64(), pa.int64())]
-    known = (*kind_schema(experiment).metrics, *numbers, SECONDS)
+    errors = [column.name for column in columns_of("rows", experiment) if column.error or column.name in _MORE]
+    known = (*kind_schema(experiment).metrics, *errors, SECONDS)
     if asked.limit is None and asked.measure not in YES_OR_NO:
         yes_or_no = " and ".join(YES_OR_NO)
         raise BoresightError(f"{text!r}: {asked.measure} needs a limit; without one there are {yes_or_no}")
-    if asked.limit is not None and asked.measure not in known:
+    if asked.limit is not None and asked.limit <= 0.0:
+        raise BoresightError(f"{text!r}: a measure counts by its size, which is never below {asked.limit:g}")
+    if asked.limit is not None and asked.measure not in known and not AFTER_REVOLUTIONS.fullmatch(asked.measure):
         named = ", ".join(dict.fromkeys(known))
         raise BoresightError(f"{text!r}: {asked.measure} is no measure of {experiment}: choose one of {named}")
     return asked
@@ -107,15 +110,30 @@ class Verdict:
     further: int | None
 
 
-def judge(requirement: Requirement, values: FloatArray, *, looked: bool = False) -> Verdict:
+def judge(
+    requirement: Requirement,
+    values: FloatArray,
+    *,
+    best: FloatArray | None = None,
+    looked: bool = False,
+    turns: int = 1,
+) -> Verdict:
     """Judge trials by their measure (n,) in their order, infinite for a failure; of a yes or no 0 for yes and 1 for no.
 
-    The number of trials was fixed beforehand, unless the run was ``looked`` at before and could have ended there.
+    The number of trials was fixed beforehand, unless the run was ``looked`` at before and could have ended there. Where
+    trials depend on each other, give the worst of each independent unit, and the ``best`` (n,): a unit passes by its
+    worst trial and fails by its best. ``turns`` is the number of data bases that trials have in turn: their chances of
+    a miss differ, and a look is valid after each had as many trials.
     """
-    test = _at_every_look if looked else _at_the_end
     missed = _missed(requirement, values)
-    verdict, risk = test(requirement, missed)
-    reached = None if requirement.limit is None else _reached(requirement, values, looked=looked)
+    verdict, risk = _tested(requirement, missed, looked, turns)
+    if (
+        verdict == FAIL
+        and best is not None
+        and _tested(requirement, _missed(requirement, best), looked, turns)[0] != FAIL
+    ):
+        verdict = UNDECIDED
+    reached = None if requirement.limit is None else _reached(requirement, values, looked, turns)
     further = {PASS: 0, FAIL: None}.get(verdict, _further(requirement, missed, looked=looked))
     return Verdict(verdict, len(values), int(missed.sum()), reached, risk, further)
 
@@ -124,17 +142,14 @@ def _missed(requirement: Requirement, values: FloatArray) -> BoolArray:
     return np.asarray(~(values < (0.5 if requirement.limit is None else requirement.limit)))
 
 
-def _at_the_end(requirement: Requirement, missed: BoolArray) -> tuple[str, float]:
-    """Return the verdict of a number of trials that was fixed beforehand, and the consumer's risk."""
+def _tested(requirement: Requirement, missed: BoolArray, looked: bool, turns: int) -> tuple[str, float]:
+    """Return the verdict and the consumer's risk."""
+    if looked:
+        found = Evidence.of(missed, requirement.share, turns)
+        return found.verdict(requirement.risk)[0], min(1.0, 1.0 / float(found.passes.max(initial=1.0)))
     n, m, allowed = len(missed), int(missed.sum()), 1.0 - requirement.share
     few, many = float(bdtr(m, n, allowed)), float(bdtrc(m - 1, n, allowed)) if m else 1.0
     return PASS if few <= requirement.risk else FAIL if many <= requirement.risk else UNDECIDED, few
-
-
-def _at_every_look(requirement: Requirement, missed: BoolArray) -> tuple[str, float]:
-    """Return the verdict that holds however often one looks, and the consumer's risk."""
-    found = Evidence.of(missed, requirement.share)
-    return found.verdict(requirement.risk)[0], min(1.0, 1.0 / float(found.passes.max(initial=1.0)))
 
 
 def upper_limit(values: FloatArray, share: float, confidence: float) -> float:
@@ -149,14 +164,14 @@ def upper_limit(values: FloatArray, share: float, confidence: float) -> float:
     return float(np.sort(values)[k - 1]) if k <= n else np.inf
 
 
-def _reached(requirement: Requirement, values: FloatArray, *, looked: bool) -> float:
+def _reached(requirement: Requirement, values: FloatArray, looked: bool, turns: int) -> float:
     if not looked:
         return upper_limit(values, requirement.share, requirement.confidence)
     # The evidence rises with the limit, so the least that passes is found by halving.
     ordered = np.unique(values[np.isfinite(values)])
 
     def passes(limit: float) -> bool:
-        return _at_every_look(requirement, values > limit)[0] == PASS
+        return _tested(requirement, values > limit, looked, turns)[0] == PASS
 
     number = bisect_left(range(len(ordered)), 1, key=lambda i: int(passes(float(ordered[i]))))
     return float(ordered[number]) if number < len(ordered) else np.inf
@@ -190,10 +205,14 @@ class Evidence:
     fails: FloatArray
 
     @classmethod
-    def of(cls, missed: BoolArray, share: float) -> Evidence:
-        """Weigh trials (n,) in their order by whether they missed."""
+    def of(cls, missed: BoolArray, share: float, turns: int = 1) -> Evidence:
+        """Weigh trials (n,) in their order by whether they missed.
+
+        It is a supermartingale where each trial has the same chance of a miss. Where trials have so many chances in
+        turn, it is one after every so many ``turns``: a product of factors is at most their mean to its power.
+        """
         logs = _log_evidence(np.cumsum(missed), np.arange(1, len(missed) + 1), 1.0 - share)
-        passes, fails = (np.exp(np.minimum(one, _MOST_LOG)) for one in logs)
+        passes, fails = (np.exp(np.minimum(one[turns - 1 :: turns], _MOST_LOG)) for one in logs)
         return cls(passes, fails)
 
     def verdict(self, risk: float) -> tuple[str, int]:

@@ -104,7 +104,13 @@ def test_real_images_are_not_waited_for(tmp_path, refused):
     poses = "file,time_s,sun_body_x,sun_body_y,sun_body_z,ref_qw,ref_qx,ref_qy,ref_qz,ref_tx_m,ref_ty_m,ref_tz_m"
     (tmp_path / "set" / "poses.csv").write_text(f"{poses}\n0.png,0,0,0,-1,1,0,0,0,0,0,2000\n")
     scene = "body: {shape: sphere}\ncamera: {width_px: 48, height_px: 40, fov_deg: 18.3}\nimages: {folder: set}\n"
-    campaign = f"scenarios: [scene]\nestimators: [prior]\ntrials: 1\nseed: 1\nrequirements: [{MET}]\n"
+    campaign = f"scenarios: [scene]\nestimators: [centroid]\ntrials: 1\nseed: 1\nrequirements: [{MET}]\n"
     file = write_campaign(tmp_path, campaign, scene)
     said = refused("run", file, "--out", tmp_path / "run", "--until", "requirements")
-    assert "more trials of real images are no new ones: give --trials" in said
+    assert "trials share images, more of them are no new ones: give --trials" in said
+
+
+def test_a_requirement_that_nobody_answers_is_refused(cache, tmp_path, refused):
+    campaign = f"scenarios: [scene]\nestimators: [prior]\ntrials: 1\nseed: 1\nrequirements: [{MET}]\n"
+    said = refused("run", write_campaign(tmp_path, campaign), "--out", tmp_path / "run")
+    assert "is asked of no estimator: name some, or add one" in said

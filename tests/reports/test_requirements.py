@@ -156,6 +156,8 @@ def test_wrong_passes_of_ten_thousand_campaigns(share, most, capsys):
             "position_error_m in 95 % at 90 %",
             "position_error_m needs a limit; without one there are solved and success",
         ),
+        ("position_error_m < -3 in 95 % at 90 %", "a measure counts by its size, which is never below -3"),
+        ("true_tx_m < 3 in 95 % at 90 %", "true_tx_m is no measure of single-image"),
         ("velocity < 3 in 95 % at 90 %", "velocity is no measure of single-image: choose one of position_error_m"),
     ],
 )
@@ -202,3 +204,25 @@ def test_the_condition_that_moves_an_error_comes_first(full_run):
     assert first.low[1][0] <= first.low[0] <= first.low[1][1] < first.high[1][0]
     assert all(one.low[1][1] > one.high[1][0] for one in others), "the others do not matter"
     assert len(swing_grid(run).rows) == len(others) + 1
+
+
+def test_trials_that_share_an_image_pass_by_the_worst_and_fail_by_the_best():
+    """Twenty images of 50 trials with one miss in a hundred: each image's worst says nothing of the share."""
+    asked = parse_requirement("success in 95 % at 90 %")
+    worst, best = (np.arange(20) < 8).astype(float), np.zeros(20)
+    assert judge(asked, worst).verdict == FAIL
+    assert judge(asked, worst, best=best).verdict == UNDECIDED
+    assert judge(asked, worst, best=worst).verdict == FAIL
+
+
+def test_data_bases_in_turn_are_looked_at_after_each_had_a_trial():
+    missed = np.tile([False, False, True], 40)
+    found = Evidence.of(missed, 0.5, turns=3)
+    np.testing.assert_array_equal(found.passes, Evidence.of(missed, 0.5).passes[2::3])
+
+
+def test_a_run_that_is_not_finished_was_looked_at(full_run):
+    that = [{"that": "position_error_m < 60 in 90 % at 90 %"}]
+    run = read_run(full_run(requirements=that, trials=500))
+    assert next(judged(run)).verdict.verdict == UNDECIDED
+    assert "is not finished" in requirement_grid(run).note
