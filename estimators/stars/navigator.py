@@ -13,10 +13,10 @@ from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch
 from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances
 from boresight.estimators.stars.detection import Detections, detect_stars
-from boresight.estimators.stars.identification import Sky, identify
+from boresight.estimators.stars.identification import Identified, Sky, identify
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import Camera, Pose
-from boresight.scenarios.observation import Observation
+from boresight.scenarios.geometry import Camera, Pose, cross_matrix
+from boresight.scenarios.observation import CameraSigma, Observation
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.stars import StarCatalog
 
@@ -134,13 +134,10 @@ class StarNavigator:
         if isinstance(result, str):
             return Estimate("failed", result, diagnostics=diagnostics, timings_s=clock.seconds)
         attitude = result.attitude
-        # An error of the principal point is one of the attitude, whatever the stars are.
-        turn_rad = declared.principal_point_px / np.array([observation.camera.fy_px, observation.camera.fx_px])
-        by_middle = np.diag([*turn_rad**2, 0.0])
         pose, covariance = rotation_update(
             (frame.prior_T_cam_body, frame.prior_covariance),
             attitude.R_cam_inertial @ frame.sky.R_body_inertial.T,
-            attitude.covariance + by_middle,
+            self._covariance(result, seen, found.sigma_px, declared),
         )
         degrees = 2 * len(result.stars) - 3
         diagnostics |= {
@@ -167,4 +164,28 @@ class StarNavigator:
             details={"stars": columns},
             diagnostics=diagnostics,
             timings_s=clock.seconds,
+        )
+
+    def _covariance(
+        self, result: Identified, seen: Detections, noise_px: FloatArray, declared: CameraSigma
+    ) -> FloatArray:
+        """Covariance (3, 3), rad^2, of the attitude from stars that were weighted by ``seen.sigma_px``.
+
+        The weights hold the declared error of the focal length as if each star had its own. It is one for all: it turns
+        the attitude where the stars are on one side of the image. An error of the principal point always does.
+        """
+        camera, used = self._sky.camera, result.detections
+        towards = self._sky.catalog.directions[result.stars] @ result.attitude.R_cam_inertial.T
+        # A turn w moves a direction d by w x d = -[d]x w.
+        by_turn = -np.einsum("nij,njk->nik", camera.jacobian(towards), np.stack([cross_matrix(d) for d in towards]))
+        weighted = np.swapaxes(by_turn, 1, 2) / seen.sigma_px[used, None, None] ** 2
+        # Turns (3, n, 2) by the pixels' errors: (sum H^T W H)^-1 H^T W.
+        influence = np.einsum("kl,nli->kni", np.linalg.inv(np.einsum("nki,nil->kl", weighted, by_turn)), weighted)
+        own_px = np.hypot(noise_px[used], self._options.position_sigma_px)
+        by_focal = np.einsum("kni,ni->k", influence, seen.uv_px[used] - [camera.cx_px, camera.cy_px])
+        by_middle = influence.sum(axis=1)
+        return np.asarray(
+            np.einsum("kni,n,lni->kl", influence, own_px**2, influence)
+            + declared.focal**2 * np.outer(by_focal, by_focal)
+            + declared.principal_point_px**2 * by_middle @ by_middle.T
         )

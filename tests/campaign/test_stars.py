@@ -15,10 +15,15 @@ from boresight.campaign.kinds.single_image import check
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.contract import NoProductError
+from boresight.estimators.stars.detection import Detections
+from boresight.estimators.stars.identification import Identified
 from boresight.estimators.stars.navigator import StarNavigator
+from boresight.estimators.stars.wahba import Attitude, solve_wahba
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.observation import CameraSigma
+from boresight.scenarios.stars import StarCatalog
 
 STARS = """
 detector: {exposure_s: 1, white_e_per_s: 5.0e+8}
@@ -126,3 +131,27 @@ def test_stars_are_identified_with_a_focal_length_that_is_wrong_as_declared(fold
     for _, _, estimate in answers(folder, 2, "onboard={focal_error: 0.002}"):  # not declared
         assert estimate.diagnostics["stars_identified"] < 0.6 * estimate.diagnostics["point_sources"]
         assert estimate.diagnostics["stars_chi2_per_degree"] > 2.0
+
+
+def test_one_error_of_the_focal_length_turns_stars_on_one_side(folder):
+    """Its covariance is that of drawn errors of the focal length, with noise: the stars are left of the middle."""
+    world, navigator = opened(folder)
+    camera, rng = world.camera.pinhole, np.random.default_rng(5)
+    uv = np.column_stack([rng.uniform(10, 0.4 * camera.width_px, 30), rng.uniform(10, camera.height_px - 10, 30)])
+    cam, sigma = camera.unproject(uv), CameraSigma(1e-3)
+    attitude = Attitude(np.eye(3), np.eye(3), np.ones(30, dtype=bool), 0.0)
+    noise_px = np.full(30, 0.05)
+    wide_px = np.hypot(noise_px, 1e-3 * np.linalg.norm(uv - [camera.cx_px, camera.cy_px], axis=1))
+    navigator._sky = replace(navigator._sky, catalog=StarCatalog(cam, np.zeros(30)), camera=camera)
+    seen = Detections(uv, np.ones(30), wide_px, 1.0, 1.0)
+    found = Identified(attitude, np.arange(30), np.arange(30), 0.0)
+    stated = navigator._covariance(found, seen, noise_px, sigma)
+    turns = []
+    for _ in range(3000):
+        moved = uv + 1e-3 * rng.normal() * (uv - [camera.cx_px, camera.cy_px])
+        moved = moved + np.hypot(0.05, navigator._options.position_sigma_px) * rng.normal(size=uv.shape)
+        R, _ = solve_wahba(camera.unproject(moved), cam, wide_px * camera.pixel_angle_rad)
+        turns.append(0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]))
+    sigmas = np.sqrt(np.diag(stated))
+    np.testing.assert_allclose((np.cov(np.array(turns).T) - stated) / np.outer(sigmas, sigmas), 0.0, atol=0.1)
+    assert sigmas[1] > 2.0 * np.sqrt(navigator._covariance(found, seen, noise_px, CameraSigma())[1, 1])
