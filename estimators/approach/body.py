@@ -17,6 +17,7 @@ from boresight.scenarios.observation import Frame
 _SIGMAS, _SHARE = 5.0, 0.02
 _LEAST_PIXELS = 3
 _MARGIN_PX = 5
+_STAR_PX = 7  # side of a group that may be a star
 _SKY_ROWS = 128
 # Sides of a rendered body, px: below it is rendered enlarged, and pixels are means of what is rendered.
 _RENDERED_PX, _MOST_ENLARGED = 96, 32
@@ -75,8 +76,9 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
 
     It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
     and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
-    divide a body. Groups within five standard deviations of where the prior has the body come first: stars may be
-    larger than a small body. Raise BoresightError if the image does not have the camera's size.
+    divide a body. Small groups beyond half of it are taken for stars. Groups within five standard deviations of where
+    the prior has the body come first: stars may be larger than a small body. Raise BoresightError if the image does not
+    have the camera's size.
     """
     image = frame.image
     if image.shape != (camera.height_px, camera.width_px):
@@ -106,7 +108,9 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     preferred = np.where(near_prior & (areas >= _LEAST_PIXELS), areas, 0)
     largest = int((preferred if preferred.any() else areas).argmax())
     apart_px = np.linalg.norm(middles - middles[largest], axis=1)
-    kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX)
+    sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    star = (sides <= _STAR_PX) & (apart_px > 0.5 * diameter_px)
+    kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
     first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
     whole = np.array([camera.width_px, camera.height_px])
     low, high = first.min(axis=0), (first + size).max(axis=0)

@@ -43,7 +43,8 @@ class CentroidEstimator:
     It fails when
     -------------
     The image shows no body, the frame cuts it, or the rendering is out of view or in the dark. The centroid is biased
-    where the onboard reflectance or direction to the Sun is wrong, and where much of the body is dark.
+    where the onboard reflectance or direction to the Sun is wrong, where much of the body is dark, and by a star within
+    half a diameter of its middle.
 
     Cost
     ----

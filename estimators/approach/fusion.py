@@ -16,8 +16,7 @@ def fuse(observation: Observation, measured: FloatArray, by_pose: FloatArray, co
     ``measured`` (k,) is z = H [w, d] + noise for the error [rotation_rad, translation_m] of the prior, H being
     ``by_pose`` (k, 6) and ``covariance`` (k, k) that of the noise, any units. The attitude is considered and not
     estimated (Schmidt 1966): with the gain K = P H^T (H P H^T + R)^-1, rows of the rotation set to 0, the covariance is
-    (I - K H) P (I - K H)^T + K R K^T. So it holds what the attitude's error does to the position. The calibration of
-    the camera is added.
+    (I - K H) P (I - K H)^T + K R K^T. So it holds what the attitude's error does to the position.
     """
     frame = observation.frame
     prior, known = frame.prior_T_cam_body, floor_variances(frame.prior_covariance)
@@ -29,7 +28,6 @@ def fuse(observation: Observation, measured: FloatArray, by_pose: FloatArray, co
     left = np.eye(6) - gain @ by_pose
     pose = prior.perturbed(np.zeros(3), step[3:])
     stated = left @ frame.prior_covariance @ left.T + gain @ covariance @ gain.T
-    stated += observation.calibration_covariance(pose)
     return Estimate("ok", pose=pose, covariance=np.asarray(0.5 * (stated + stated.T)))
 
 

@@ -153,6 +153,8 @@ class LimbEstimator:
             for group in (np.zeros_like(arc), arc):
                 noise += 0.5 * self._options.bias_px**2 * grouped_covariance(weighted, group, 0)
             found = fuse(observation, measured, by_pose, noise)
+        if found.pose is not None and found.covariance is not None:
+            found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)
 
     def _limb_at(self, scene: _Scene, pose: Pose, centre_px: FloatArray) -> LimbPoints | None:

@@ -59,7 +59,8 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
 
     The covariance of the shift is that of a linear function of the pixels' errors. These are the difference of image
     and rendering, which errors of shape, reflectance and noise make; they are correlated within the 16 cells of the
-    body's box and not between them, see `grouped_covariance`. The noise of the sky is added.
+    body's box and not between them, see `grouped_covariance`. The noise of the sky and the calibration of the camera
+    are added.
     """
     frame, camera, clock = observation.frame, observation.camera, Stopwatch()
     prior = frame.prior_T_cam_body
@@ -88,9 +89,13 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
         last, pose = pose, translation_update(pose, point_px + shift_px, point_px, camera)
         count += 1
     with clock(how.name):
+        if not (body.patch.cut(rendered) * rendered.image).sum() > 0.0:
+            failure = f"the rendering does not meet the body in max_iterations {loop.max_iterations}"
+            return Estimate("failed", failure, diagnostics=told, timings_s=clock.seconds)
         covariance_px2, correlation = _shift_covariance(body, rendered, how.weights)
         scale_px = 1.0 / (float(np.linalg.norm(last.translation_m)) * camera.pixel_angle_rad)
         covariance_px2 += (how.misfit_m * scale_px) ** 2 / 3.0 * np.eye(2)
+        covariance_px2 += _calibration(observation, pose)
         told |= {f"{how.name}_iterations": count, "correlation": correlation}
         told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
     with clock("mesh_rendering"):
@@ -98,6 +103,17 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
     fused = fuse(observation, measured, by_pose, covariance_px2)
     return replace(fused, stages=(Stage(how.name, fused.pose or prior),), diagnostics=told, timings_s=clock.seconds)
+
+
+def _calibration(observation: Observation, pose: Pose) -> FloatArray:
+    """Covariance (2, 2), px^2, of where a body at a pose is seen, by the declared errors of the calibration.
+
+    The range is the prior's, so an error of the focal length shifts the body along its distance from the principal
+    point.
+    """
+    camera, sigma = observation.camera, observation.camera_sigma
+    apart_px = camera.project(pose.translation_m) - [camera.cx_px, camera.cy_px]
+    return sigma.principal_point_px**2 * np.eye(2) + sigma.focal**2 * np.outer(apart_px, apart_px)
 
 
 def centroid_px(patch: Patch) -> FloatArray:

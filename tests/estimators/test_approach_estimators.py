@@ -127,8 +127,58 @@ def test_the_attitude_s_error_is_in_the_covariance(name):
     np.testing.assert_array_equal(stated[0][:3, :3], loose.prior_covariance[:3, :3])
     assert np.trace(stated[0][3:5, 3:5]) > np.trace(stated[1][3:5, 3:5])
     assert np.abs(stated[0][:3, 3:]).max() > 0.0
-    calibrated = estimate(name, replace(seen, camera_sigma=CameraSigma(0.0, 1.0))).covariance - stated[0]
-    assert calibrated[3, 3] == pytest.approx((loose.prior_T_cam_body.translation_m[2] / CAMERA.fx_px) ** 2, rel=0.05)
+
+
+@pytest.mark.parametrize("name", SIGHTS)
+def test_a_wrong_camera_shifts_the_body(name):
+    """The range is the prior's: an error of the focal length is across the line of sight, and none of the range's."""
+    truth, seen = observed(5, middle_px=(-40.0, 25.0))
+    sigma = np.sqrt(np.diag(seen.frame.prior_covariance))
+    frame = replace(seen.frame, prior_covariance=np.diag([*sigma[:3], *(100.0 * sigma[3:5]), 1e-3 * sigma[5]]) ** 2)
+    exact, focal, middle = (
+        estimate(name, replace(seen, frame=frame, camera_sigma=CameraSigma(*wrong))).covariance[3:, 3:]
+        for wrong in ((0.0, 0.0), (0.01, 0.0), (0.0, 1.0))
+    )
+    per_px = truth.translation_m[2] / CAMERA.fx_px
+    wrong_m = 0.01 * per_px * (CAMERA.project(truth.translation_m) - [CAMERA.cx_px, CAMERA.cy_px])
+    np.testing.assert_allclose((focal - exact)[:2, :2], np.outer(wrong_m, wrong_m), rtol=0.1)
+    np.testing.assert_allclose((middle - exact)[:2, :2], per_px**2 * np.eye(2), rtol=0.05, atol=0.02 * per_px**2)
+    assert (focal - exact)[2, 2] < 0.05 * np.trace(focal - exact)
+
+
+def test_the_calibration_is_in_the_covariance_of_the_limb():
+    _, seen = observed(3)
+    exact, wrong = (
+        estimate("limb", replace(seen, camera_sigma=sigma)).covariance
+        for sigma in (CameraSigma(), CameraSigma(0.0, 1.0))
+    )
+    per_px = seen.frame.prior_T_cam_body.translation_m[2] / CAMERA.fx_px
+    assert (wrong - exact)[3, 3] == pytest.approx(per_px**2, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["centroid", "silhouette"])
+def test_a_star_beside_the_body_is_no_part_of_it(name):
+    """Thirty pixels of body, and a star at twenty-three of its middle with some of its light."""
+    truth, seen = observed(1, size_px=30.0)
+    u, v = (int(value) for value in CAMERA.project(truth.translation_m))
+    image = seen.frame.image.copy()
+    image[v - 1 : v + 2, u + 22 : u + 25] += 2000.0
+    moved = estimate(name, replace(seen, frame=replace(seen.frame, image=image))).pose
+    away = CAMERA.project(moved.translation_m) - CAMERA.project(estimate(name, seen).pose.translation_m)
+    assert np.linalg.norm(away) < 0.05
+
+
+@pytest.mark.parametrize("name", SIGHTS)
+def test_a_rendering_that_does_not_meet_the_body_is_a_failure(name):
+    """One round only, from a prior that is off by two and a half times the body's size."""
+    method = estimator_class(name).from_options({"alignment_loop": {"max_iterations": 1}}, Assets())
+    _, seen = observed(1, size_px=30.0)
+    prior = seen.frame.prior_T_cam_body
+    moved = prior.perturbed(np.zeros(3), np.array([75.0, 0.0, 0.0]) * prior.translation_m[2] / CAMERA.fx_px)
+    frame = replace(seen.frame, prior_T_cam_body=moved)
+    found = method.estimate(replace(seen, frame=frame), rng=np.random.default_rng(0))
+    assert (found.status, found.pose) == ("failed", None)
+    assert "does not meet the body in max_iterations 1" in found.reason or "out of view" in found.reason
 
 
 NOISE = np.random.default_rng(8).normal(10.0, 1.0, (128, 160)).round().astype(np.float32)
