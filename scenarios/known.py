@@ -136,10 +136,11 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
     if experiment == "pose-convergence":  # landmark errors are drawn from the covariances that solvers use
         exact = _exacts("camera", "which landmark is which", "covariances that the landmarks are drawn from")
         return Known((*exact, *_pose(spec), *_nots("places of the landmarks")))
+    hipparcos = [STARS_OF_HIPPARCOS] if spec.stars is not None and spec.stars.catalog == HIPPARCOS else []
     if experiment == "crater-detection":  # an image and the Sun's direction, no model of the body
         optics = (item for item in _optics(spec) if item.name != "spin")
         nothing = _nots("craters", "shape", "reflectance", "pose")
-        return Known((*optics, *nothing, *_unmodelled(spec)), (THRESHOLDS,))
+        return Known((*optics, *nothing, *_unmodelled(spec), *_stars(spec)), (THRESHOLDS, *hipparcos))
     cratered = _exacts(*(["craters in the images of data bases"] if spec.craters is not None else []))
     true, believed = spec.brdf, onboard_spec(spec).brdf
     named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
@@ -148,7 +149,6 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
     if experiment == "landmark-database":  # built and counted, not compared with a truth
         ideal = (Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images"))
         return Known((*lent, *_exacts("poses of the images that data bases are made of"), *ideal))
-    hipparcos = [STARS_OF_HIPPARCOS] if spec.stars is not None and spec.stars.catalog == HIPPARCOS else []
     remarks = [*([] if spec.craters is None else [THRESHOLDS]), *hipparcos]
     return Known((*lent, *_pose(spec), *_stars(spec), *_exposure(spec)), tuple(remarks))
 

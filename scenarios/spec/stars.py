@@ -16,6 +16,7 @@ from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.trajectory import RotationSpec
 from boresight.scenarios.stars import (
+    STARS_OF_I311,
     StarCatalog,
     artificial_sky,
     file_digest,
@@ -120,7 +121,10 @@ def _read_catalog(spec: StarsSpec, folders: Sequence[Path]) -> StarCatalog:
     if spec.catalog == ARTIFICIAL:
         catalog = artificial_sky(spec.seed, spec.faintest_mag)
     elif spec.catalog == HIPPARCOS:
-        catalog = read_hipparcos(_file(spec, folders), spec.year)
+        path = _file(spec, folders)
+        catalog = read_hipparcos(path, spec.year)
+        if len(catalog) != STARS_OF_I311:
+            raise BoresightError(f"{path}: {len(catalog)} stars, not {STARS_OF_I311} as in I/311: is it cut short?")
     else:
         catalog = read_stars(_file(spec, folders))
     catalog = catalog.down_to(spec.faintest_mag)
