@@ -24,7 +24,7 @@ class RangeReading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyKnowledge:
-    """What is known on board about the attitude among the stars at the exposure of an image that shows them.
+    """Attitudes among the stars that are known on board when an image with stars is exposed.
 
     ``R_body_inertial`` (3, 3) is the body's attitude by the onboard model of its rotation. ``R_cam_inertial`` (3, 3) is
     the camera's by a star tracker, with ``sigma_rad`` (3,), standard deviations of its error about the camera's axes;

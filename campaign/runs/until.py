@@ -62,10 +62,11 @@ _WRITTEN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Until:
-    """What to wait for, as the user wrote it, and what stopping by it does to statistics, for the notes of the run.
+    """A condition at which a run stops, as the user wrote it.
 
-    ``look`` says of the first so many trials of a run, and the estimators of some labels, whether it holds, and how it
-    stands. The run stops ``further`` looks after the first at which it holds.
+    ``look`` takes a run, the number of its first trials to look at, and the labels of estimators. It returns whether
+    the condition holds, and a line that says how it stands. The run stops ``further`` looks after the first at which it
+    holds. ``why`` goes into the notes of the run: what such a stop does to statistics.
     """
 
     written: str

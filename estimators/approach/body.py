@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 
 from boresight.estimators.contract import ImageRenderer
-from boresight.estimators.landmark.signal import background_of
+from boresight.estimators.landmark.signal import background_of, unusable
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image
-from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.observation import Frame
 
@@ -80,14 +79,9 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     the prior has the body come first: stars may be larger than a small body. Raise BoresightError if the image does not
     have the camera's size.
     """
+    if fault := unusable(frame, camera):
+        return fault
     image = frame.image
-    if image.shape != (camera.height_px, camera.width_px):
-        raise BoresightError(
-            f"the image has shape {image.shape}, but the camera's is {(camera.height_px, camera.width_px)}: hand in the"
-            " camera's own image"
-        )
-    if not np.isfinite(image).all():
-        return "the image holds NaN or infinite pixels"
     level, noise = _sky(image)
     bright = image[image > np.float32(level + _SIGMAS * noise)]
     full = float(np.percentile(bright, 99.0)) - level if bright.size else 0.0

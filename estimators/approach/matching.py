@@ -75,7 +75,7 @@ class LambertCorrelation(SilhouetteEstimator):
 
     Use it when
     -----------
-    The shape is known by its axes alone, or no rendering of it is affordable on board; the whole body is in the image.
+    Only the axes of the shape are known, or its rendering takes too long on board. The whole body is in the image.
 
     It fails when
     -------------

@@ -109,7 +109,7 @@ def ray_directions(count: int) -> FloatArray:
 
 
 def outline_normals(radius_px: FloatArray, rays: FloatArray) -> FloatArray:
-    """Outward unit normals (n, 2) of an outline by its radii (n,) on rays (n, 2); NaN beside missing radii.
+    """Outward unit normals (n, 2) of an outline by radii (n,) on rays (n, 2); NaN where a radius near it is missing.
 
     The tangent spans a few pixels, as the blur of an image does: single facets are smaller.
     """

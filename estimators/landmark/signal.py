@@ -43,19 +43,24 @@ class Signal:
         return not self.image.any()
 
 
+def unusable(frame: Frame, camera: Camera) -> str:
+    """Return the reason why no method can use an image, '' without one; raise BoresightError if its size is wrong."""
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(
+            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
+        )
+    return "" if np.isfinite(frame.image).all() else "the image holds NaN or infinite pixels"
+
+
 def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None) -> NDArray[np.float32] | str:
     """Return the signal (H, W) of an observed image, see `Signal`, or the reason why no pose can be estimated from it.
 
     ``clock`` adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it. Raise BoresightError
     if the image does not have the camera's size: the caller has passed another image.
     """
-    expected = (camera.height_px, camera.width_px)
-    if frame.image.shape != expected:
-        raise BoresightError(
-            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
-        )
-    if not np.isfinite(frame.image).all():
-        return "the image holds NaN or infinite pixels"
+    if fault := unusable(frame, camera):
+        return fault
     with nullcontext() if clock is None else clock("centroid"):
         signal = extract_signal(frame.image, _observed_sky(frame.image))
     return "the image is black: nothing above its background" if signal.empty else signal.image

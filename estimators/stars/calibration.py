@@ -73,7 +73,7 @@ def _eliminated(camera: Camera, lens: RadialDistortion, field: StarField) -> tup
     by_focal -= pinhole.project(towards) - [camera.cx_px, camera.cy_px]
     by_k1 = focal_px * slope * squared
     # A turn w moves a direction d by w x d = -[d]x w.
-    by_turn = np.einsum("nij,njk->nik", pinhole.jacobian(towards), np.stack([cross_matrix(d) for d in towards]))
+    by_turn = np.einsum("nij,njk->nik", pinhole.jacobian(towards), cross_matrix(towards))
     columns = np.concatenate([np.stack([by_focal, by_k1], axis=2), by_turn], axis=2)
     weights = np.repeat(1.0 / field.sigma_px, 2)[:, None]
     design, values = columns.reshape(-1, 5) * weights, residual.ravel() * weights[:, 0]

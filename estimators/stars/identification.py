@@ -1,4 +1,4 @@
-"""Which star is which: from a prior attitude, or lost in space by triangles of angular distances."""
+"""Identification of stars: from a prior attitude, or lost in space by triangles of angular distances."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ class StarNavigator:
         camera, used = self._sky.camera, result.detections
         towards = self._sky.catalog.directions[result.stars] @ result.attitude.R_cam_inertial.T
         # A turn w moves a direction d by w x d = -[d]x w.
-        by_turn = -np.einsum("nij,njk->nik", camera.jacobian(towards), np.stack([cross_matrix(d) for d in towards]))
+        by_turn = -np.einsum("nij,njk->nik", camera.jacobian(towards), cross_matrix(towards))
         weighted = np.swapaxes(by_turn, 1, 2) / seen.sigma_px[used, None, None] ** 2
         # Turns (3, n, 2) by the pixels' errors: (sum H^T W H)^-1 H^T W.
         influence = np.einsum("kl,nli->kni", np.linalg.inv(np.einsum("nki,nil->kl", weighted, by_turn)), weighted)

@@ -83,20 +83,20 @@ def judged(run: RunData, *, trials: int | None = None, looked: bool = False) -> 
     Of the first ``trials``, if they are given. ``looked``: the run may end after each look, as it may if its manifest
     says so, or trials that were asked for are not there.
     """
+    again = looked or _could_end_elsewhere(run)
     for requirement, scenario, estimator, values in _measured(run):
         numbers = run.rows.loc[values.index, "trial"]
-        again = looked or run.manifest.looked or len(values) < run.manifest.trials
         own = values.dropna() if trials is None else values[numbers < trials].dropna()
-        units = pd.Series(_units(run, run.rows.loc[own.index]), own.index)
-        worst, best = (np.asarray(part, dtype=np.float64) for part in _ends(own, units))
+        units = own.groupby(pd.Series(_units(run, run.rows.loc[own.index]), own.index), sort=False)
+        worst, best = (np.asarray(part, dtype=np.float64) for part in (units.max(), units.min()))
         verdict = judge(requirement, worst, best=best, looked=again, turns=max(1, run.databases))
         yield Judged(requirement, scenario, estimator, verdict)
 
 
-def _ends(values: pd.Series[float], units: pd.Series) -> tuple[pd.Series, pd.Series]:
-    """Return the worst and the best of each unit, in the order in which they come."""
-    grouped = values.groupby(units, sort=False)
-    return grouped.max(), grouped.min()
+def _could_end_elsewhere(run: RunData) -> bool:
+    """Tell whether the number of trials was not fixed beforehand: the run was looked at, or is not finished."""
+    done, asked = run.progress()
+    return run.manifest.looked or done < asked
 
 
 def _measured(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Series[float]]]:
@@ -140,7 +140,7 @@ def _values(run: RunData, measure: str) -> pd.Series[float]:
 def swings(run: RunData, values: pd.Series[float], quantile: float) -> list[Swing]:
     """Compare a quantile of the measure of some rows between thirds of the trials, the widest swing first.
 
-    None where the thirds are too small for the quantile, or no condition varies.
+    Empty where the thirds are too small for the quantile, or no condition varies.
     """
     rows, third = run.rows.loc[values.index], len(values) // 3
     if len(values) < _LEAST_TRIALS or not has_quantile(third, quantile):
@@ -191,8 +191,7 @@ def requirement_grid(run: RunData) -> Grid | None:
         }
         for one in judged(run)
     ]
-    unfinished = len(run.rows) < run.manifest.trials * len(run.manifest.scenarios) * len(run.manifest.estimators)
-    note = _NOTE + (_LOOKED if run.manifest.looked or unfinished else "")
+    note = _NOTE + (_LOOKED if _could_end_elsewhere(run) else "")
     return row_grid("Requirements", rows, ("requirement", "scenario", "estimator", "verdict"), note) if rows else None
 
 

@@ -1,4 +1,4 @@
-"""Whether trials show that a requirement is met: a share of all trials, failures among the others, within a limit.
+"""Tests of whether a requirement is met: a share of all trials is within a limit; trials without an estimate are not.
 
 ``position_error_m < 30 in 99.73 % at 90 %``: at least 99.73 % of the trials that could be drawn lie below 30 m, to be
 shown with a confidence of 90 %. With a number of trials fixed beforehand the test is exact: the requirement is met if
@@ -94,7 +94,7 @@ def read_requirement(text: str, experiment: str) -> Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What ``n`` trials with so many ``missed`` say of a requirement.
+    """The verdict of ``n`` trials, of which ``missed`` are not within the limit of a requirement.
 
     ``reached`` is the limit that would just pass, so that the margin is from there to the requirement's limit. It is
     infinite if none would: too few trials, or too many failures; None of a yes or no. ``risk`` is the consumer's: the
@@ -216,7 +216,7 @@ class Evidence:
         return cls(passes, fails)
 
     def verdict(self, risk: float) -> tuple[str, int]:
-        """Return the verdict, and after how many trials it was reached: the first of the two to reach 1 / risk."""
+        """Return the verdict of the first of the two to reach 1 / risk, and after how many looks that was."""
         first = {
             name: int(np.argmax(path >= 1.0 / risk))
             for name, path in ((PASS, self.passes), (FAIL, self.fails))

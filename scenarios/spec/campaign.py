@@ -119,7 +119,7 @@ EstimatorEntry = Annotated[
 
 
 class RequirementSpec(SpecModel):
-    """What a design must meet: ``position_error_m < 30 in 99.73 % at 90 %``, or that with whom it is asked of.
+    """A requirement on a design, as ``position_error_m < 30 in 99.73 % at 90 %``, and who must meet it.
 
     At least the share of all trials lies below the limit, failures counted as misses, to be shown with that confidence.
     The measure is one that the kind of trial is compared by, a number of its rows, ``seconds``, or, without a limit,

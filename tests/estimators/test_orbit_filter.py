@@ -178,30 +178,28 @@ def test_it_finds_the_orbit_within_its_covariance(clean, solved):
     assert solved.diagnostics["chi_square_per_freedom"] == pytest.approx(1.0, abs=0.15)
 
 
-def test_covariances_foretell_errors():
-    world, squares = orbit_world(), []
-    for trial in range(24):
-        truth, data = draw_orbit(world, 11, trial)
+def normalised_squares(world, seed, trials):
+    """Return the sum over drawn orbits of the squared errors of the state, by the stated covariances."""
+    total = 0.0
+    for trial in range(trials):
+        truth, data = draw_orbit(world, seed, trial)
         found = BatchFilter().determine(data)
         assert found.status == "ok", found.reason
         error = found.orbit.state - truth.states[0]
-        squares.append(error @ np.linalg.solve(found.orbit.covariance, error))
+        total += error @ np.linalg.solve(found.orbit.covariance, error)
+    return total
+
+
+def test_covariances_foretell_errors():
     # The sum is a chi-square of 144 degrees of freedom: 99.9 % of it lies here.
-    assert 93.0 < np.sum(squares) < 207.0
+    assert 93.0 < normalised_squares(orbit_world(), 11, 24) < 207.0
 
 
 def test_an_error_of_the_spin_is_estimated_and_in_the_covariance():
     """The deviation of the rate turns the body by 1 deg over the arc, up to 8 pixels."""
     world = orbit_world(knowledge={"pole_sigma_deg": 0.3, "spin_sigma": 3e-4})
-    squares = []
-    for trial in range(16):
-        truth, data = draw_orbit(world, 12, trial)
-        found = BatchFilter().determine(data)
-        assert found.status == "ok", found.reason
-        error = found.orbit.state - truth.states[0]
-        squares.append(error @ np.linalg.solve(found.orbit.covariance, error))
     # The sum is a chi-square of 96 degrees of freedom: 99.9 % of it lies here.
-    assert 56.0 < np.sum(squares) < 148.0
+    assert 56.0 < normalised_squares(world, 12, 16) < 148.0
 
 
 def test_the_same_data_give_the_same_bits(clean, solved):

@@ -136,7 +136,7 @@ def test_wrong_passes_of_ten_thousand_campaigns(share, most, capsys):
         fixed = trials_of_the_exact_test(part * boundary, share, min(power, 0.99))
         told.append(f"at {part} of its misses {after.mean():.0f} trials, {power:.3f} pass; fixed beforehand {fixed}")
     with capsys.disabled():
-        print(f"\n{share}: {'; '.join(told)}")  # noqa: T201
+        print(f"\n{share}: {'; '.join(told)}")  # noqa: T201  what a long test measured
     for name in (PASS, FAIL):
         assert wilson(int((verdicts == name).sum()), 10_000)[1] <= 0.1
 

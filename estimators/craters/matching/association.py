@@ -91,7 +91,7 @@ class Association:
 
 @dataclass(frozen=True, slots=True)
 class CentreErrors:
-    """How errors of centres in one image vary and correlate, in units of their stated standard deviations.
+    """Variance and correlation of the errors of centres in one image, in units of their stated standard deviations.
 
     The same light and slopes displace neighbouring rims alike: two craters at a distance d correlate by
     ``correlation / (1 + d / length_m)``. ``variance`` is that of an average image. The variances of images are
