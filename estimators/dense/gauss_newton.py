@@ -56,7 +56,7 @@ class LevelOptions(SpecModel):
         description="Blur of the subtracted background, in pixels of this level; 0: none is subtracted; default: none,"
         " or 6 where the frame cuts the body",
     )
-    iterations: int = Field(6, ge=1, le=200, description="Steps at most")
+    iterations: int = Field(40, ge=1, le=200, description="Steps at most")
 
 
 class RegistrationOptions(SpecModel):
@@ -65,9 +65,9 @@ class RegistrationOptions(SpecModel):
     alignment_loop: AlignmentOptions = AlignmentOptions()
     levels: tuple[LevelOptions, ...] = Field(
         (
-            LevelOptions(reduction=4, blur_px=1.0, iterations=8),
-            LevelOptions(reduction=2, blur_px=0.7, background_px=3.0, iterations=4),
-            LevelOptions(reduction=1, blur_px=1.0, background_px=4.0, iterations=4),
+            LevelOptions(reduction=4, blur_px=1.0),
+            LevelOptions(reduction=2, blur_px=0.7, background_px=3.0),
+            LevelOptions(reduction=1, blur_px=1.0, background_px=4.0),
         ),
         min_length=1,
     )
@@ -85,7 +85,9 @@ class RegistrationOptions(SpecModel):
         gt=0,
         description="Pixels that count as one independent residual, as errors of the shape are correlated",
     )
-    tolerance_px: float = Field(0.01, gt=0, description="A level ends when a step moves the body by less than this")
+    tolerance_sigma: float = Field(
+        0.1, gt=0, description="A level ends when a step is shorter than this, in standard deviations of its pose"
+    )
     correlation_min: float = Field(0.5, ge=-1, le=1, description="A worse final correlation is a failure")
 
 
@@ -188,9 +190,8 @@ def fit_level(
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
         fit = LevelFit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
-        step_px = float(np.abs(step / steps).max()) * options.difference_px
-        moved_px += step_px
-        if step_px < options.tolerance_px:
+        moved_px += float(np.abs(step / steps).max()) * options.difference_px
+        if np.sqrt(step @ normal @ step) < options.tolerance_sigma:
             break
     if fit is None:
         raise ValueError("a level has at least one iteration")
