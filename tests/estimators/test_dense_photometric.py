@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,9 +13,11 @@ from boresight.estimators.dense.gauss_newton import (
     LevelOptions,
     available_gradient,
     band_pass,
+    fit_level,
     inverse,
     reduced_camera,
     reduced_image,
+    register,
     saturation,
 )
 from boresight.estimators.dense.photometric import PhotometricEstimator, PhotometricOptions, registration_aligner
@@ -90,6 +94,23 @@ def test_where_the_frame_cuts_the_body_its_mean_brightness_moves_the_pose_less(r
     (shift_m, turn_deg), without = found
     assert shift_m < min(3.0, 0.8 * without[0])
     assert turn_deg < min(0.45, 0.8 * without[1])
+
+
+def test_a_level_ends_where_the_next_steps_would_be_short(renderer):
+    """The image is brighter to one side than the rendering, as by another reflectance, which makes steps slow."""
+    sun_cam = np.array([0.4, 0.2, -0.9]) / np.linalg.norm([0.4, 0.2, -0.9])
+    seen = renderer.render(View(CAMERA, TRUE, TRUE.rotation.T @ sun_cam)) * np.linspace(0.7, 1.3, 128, dtype=np.float32)
+    start, view = replace(frame(seen, 3), sun_dir_cam=sun_cam), MeshView(CAMERA, renderer, sun_cam)
+    prior = PosePrior(start.prior_T_cam_body, inverse(start.prior_covariance))
+    moved = {}
+    for most in (2, LevelOptions().iterations):
+        level = LevelOptions(reduction=1, iterations=most)
+        found = register(seen, start, view, 200.0, PhotometricOptions(levels=(level,)), Stopwatch())
+        further = PhotometricOptions(tolerance_sigma=0.01)
+        on = fit_level(seen, np.inf, found.T_cam_body, view, prior, 200.0, LevelOptions(iterations=60), further)
+        offset = PosePrior(found.T_cam_body, on.information).offset(on.T_cam_body)
+        moved[most] = float(np.sqrt(offset @ on.information @ offset))
+    assert moved[LevelOptions().iterations] < 0.3 < 0.5 < moved[2], moved
 
 
 class Holed:
