@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from pydantic import ValidationError
 
 from boresight.reports.figures.comparison import draw_roc, draw_trade_off
@@ -30,7 +31,15 @@ from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, row_gr
 from boresight.reports.schema.records import CONTROL, DERIVED, Key, Record, by_key, stage_label
 from boresight.reports.statistics.consistency import consistency_grid
 from boresight.reports.statistics.measured import MEDIAN, Measured, Sample, measure, share_of
-from boresight.reports.statistics.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS, paired_grid
+from boresight.reports.statistics.paired import (
+    DIFFERENCES,
+    FAILURE_RATE,
+    OWN,
+    PAIRED,
+    THEIRS,
+    paired_grid,
+    rate_difference,
+)
 from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, outlier_grid, outlier_scores
 from boresight.reports.tables import (
     detail_grid,
@@ -55,7 +64,7 @@ class Cost:
     Errors are medians over the trials with an estimate, ``n_ok`` of ``n``; ``failed`` is the share without one or with
     a position error above the prior's. ``seconds`` is the median wall time of all its own stages of a trial.
     ``landmarks`` and ``size_bytes`` are of all that it reads, as it is stored, the mean over several data bases; None
-    where it reads none.
+    where it reads none. ``dominated_by`` is the first estimator that is better in every respect; '' if none is.
     """
 
     scenario: str
@@ -68,6 +77,7 @@ class Cost:
     seconds: Measured
     landmarks: int | None
     size_bytes: int | None
+    dominated_by: str = ""
 
 
 def costs(run: RunData) -> list[Cost]:
@@ -78,15 +88,60 @@ def costs(run: RunData) -> list[Cost]:
     for scenario in dict.fromkeys(cost.scenario for cost in found):
         here = [cost for cost in found if cost.scenario == scenario]
         if len(here) > 1 and any(cost.size_bytes is not None for cost in here):
-            shown += here
+            own = {cost.estimator: _by_trial(run, cost) for cost in here}
+            for one in here:
+                better = (other for other in here if other is not one and _dominates(run, other, one, own))
+                shown.append(replace(one, dominated_by=next((other.estimator for other in better), "")))
     return shown
+
+
+def _by_trial(run: RunData, cost: Cost) -> pd.DataFrame:
+    rows = select(run.rows, cost.scenario, cost.estimator).set_index("trial", drop=False)
+    return rows.assign(seconds=_seconds(run, cost.scenario, cost.estimator))
+
+
+def _dominates(run: RunData, one: Cost, other: Cost, own: Mapping[str, pd.DataFrame]) -> bool:
+    """Whether an estimator is better than another of its scenario, beyond the interval of each paired difference.
+
+    Compared are both errors and the time, over the trials that both solved, the failure rate, and the size of the data
+    base, which is exact. What is alike in every trial, as without any failure, decides nothing. One that reads a data
+    base and one that reads none are not compared: what else is on board is not known.
+    """
+    sizes = one.size_bytes, other.size_bytes
+    if (sizes[0] is None) != (sizes[1] is None) or (sizes[0] or 0) > (sizes[1] or 0):
+        return False
+    better = sizes[0] != sizes[1]
+    for difference in _differences(run, own[one.estimator], own[other.estimator]):
+        if difference.high is None or difference.high >= 0.0:
+            return False
+        better = True
+    return better
+
+
+def _differences(run: RunData, mine: pd.DataFrame, theirs: pd.DataFrame) -> Iterator[Measured]:
+    """Yield the paired differences of errors, time and failure rate that are not 0 in every trial."""
+    trials = mine.index.intersection(theirs.index)
+    mine, theirs = mine.loc[trials], theirs.loc[trials]
+    both = ((mine["status"] == "ok") & (theirs["status"] == "ok")).to_numpy()
+    clusters = clusters_of(run, mine[["scenario", "trial"]])
+    for name in (*_ERRORS, "seconds"):
+        difference = (mine[name] - theirs[name]).to_numpy(dtype=np.float64)
+        known = both & np.isfinite(difference)
+        if difference[known].any() or not known.any():
+            yield from measure(difference[known], clusters[known], (MEDIAN,))
+    failures = ~succeeded(mine), ~succeeded(theirs)
+    if (failures[0] != failures[1]).any():
+        yield rate_difference(*failures, clusters)
 
 
 _NOTE = (
     "Medians over the trials with an estimate. Failures: no estimate, or a position error above the prior's. Time:"
-    " median of all the estimator's own stages, the camera's image left out. Data base: its landmarks, maplets or"
-    " features (each as often as it is in an image), and its size as it is stored: corners as text, maplets and"
-    " features packed."
+    " median of all the estimator's own stages on the run's machine, the camera's image left out. Data base: its"
+    " landmarks, maplets or features (each as often as it is in an image), and its size as it is stored: corners as"
+    " text, maplets and features packed. Dominated by: an estimator that is better in both errors, failures and time,"
+    " each beyond the 95 % interval of the difference over the same trials, with a data base that is no larger. What"
+    " is alike in every trial decides nothing; one with a data base and one without are not compared. '-': on the"
+    " Pareto front, or not shown to be off it."
 )
 
 
@@ -106,8 +161,17 @@ def trade_grid(run: RunData) -> Grid | None:
             "landmarks": NO_VALUE if cost.landmarks is None else str(cost.landmarks),
             "data base kB": number(None if size is None else size / 1e3),
             "bytes a landmark": number(None if size is None or not cost.landmarks else size / cost.landmarks),
+            "dominated by": cost.dominated_by or NO_VALUE,
         })  # fmt: skip
-    return row_grid("Accuracy and its cost", rows, ("scenario", "estimator"), _NOTE) if rows else None
+    text = ("scenario", "estimator", "dominated by")
+    return row_grid("Accuracy and its cost", rows, text, _NOTE) if rows else None
+
+
+def _seconds(run: RunData, scenario: str, estimator: str) -> pd.Series[float]:
+    """Sum the estimator's own stages by trial, s."""
+    times = select(run.table("timings"), scenario, estimator)
+    own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE])]
+    return own.groupby("trial", sort=False)["seconds"].sum()
 
 
 def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
@@ -117,10 +181,10 @@ def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
         measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0] for name in _ERRORS
     )
     # Times are of the trials with an estimate: one that stops early would look fast.
-    times = select(run.table("timings"), scenario, estimator)
-    own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE]) & times["trial"].isin(ok["trial"])]
-    total = own.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-    (seconds,) = measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))
+    total = _seconds(run, scenario, estimator)
+    total = total[total.index.isin(ok["trial"])]
+    units = clusters_of(run, pd.DataFrame({"scenario": scenario, "trial": total.index}))
+    (seconds,) = measure(np.asarray(total, dtype=np.float64), units, (MEDIAN,))
     failed = share_of(~succeeded(rows), clusters_of(run, rows))
     products = [p for p in run.manifest.products if (p.scenario, p.estimator) == (scenario, estimator)]
     databases = len({product.database for product in products})
@@ -323,7 +387,7 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
             file_stem("trade_off", scenario),
             draw_trade_off(errors, spent, prior, title, run.manifest.credits),
             f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
-            " prior. What reads no data base stands in the panels of time alone.",
+            f" prior. What reads no data base stands in the panels of time alone.{_dominated(found.values())}",
             f"Median errors of {', '.join(found)} against time an image and size of the data base.",
         )
     title = f"Cumulative error, {scenario}"
@@ -335,6 +399,11 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
         " estimate.",
         f"Cumulative shares of attitude and position error for {', '.join(rows)}.",
     )
+
+
+def _dominated(found: Iterable[Cost]) -> str:
+    names = [f"{one.estimator} by {one.dominated_by}" for one in found if one.dominated_by]
+    return f" Dominated, by the rule of the table: {', '.join(names)}." if names else ""
 
 
 def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
@@ -381,7 +450,8 @@ def tables(content: Content) -> Tables:
     """List the tables of single images, or of the grid that their scenarios are."""
     measured, run = content.records, content.run
     if run.manifest.grid is not None:
-        return design_grids(run)
+        # The names of the runs of a two-level design do not say their levels.
+        return [*design_grids(run), *([] if run.manifest.grid.design == "two-level" else [trade_grid(run)])]
     return (
         *pose_grids(measured, run),
         reference_grid(measured, run),

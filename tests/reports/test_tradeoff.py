@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-from stored_runs import find
+from stored_runs import RunBuilder, find
 
 from boresight.reports.figures.comparison import draw_trade_off
 from boresight.reports.figures.style import render
@@ -91,7 +91,63 @@ def test_an_estimator_that_never_answers_has_no_accuracy(builder):
     run = read_run(builder.write(estimators=["corners", "maplets"], products=owned))
     rows = trade_grid(run).rows
     assert rows[0][2:5] == ("0/1", "-", "-")
-    assert rows[1][-3:] == ("-", "-", "-")
+    assert rows[1][-4:] == ("-", "-", "-", "-")
+
+
+def race(builder, other, *, size=60_000, seed=0, trials=40, **manifest):
+    """``first`` beside ``other``, whose errors and times are those of the first times factors, with noise."""
+    rng, size_of = np.random.default_rng(seed), {"first": 50_000, "other": size}
+    ratios = {"first": (1.0, 1.0, 1.0, 0.0)} | {"other": other}
+    for trial in range(trials):
+        for name, (position, attitude, time, failures) in ratios.items():
+            vector = (10.0 * position * rng.lognormal(0.0, 0.2), 0.0, 0.0)
+            found = None if rng.uniform() < failures else (vector, 0.1 * attitude * rng.lognormal(0.0, 0.2))
+            builder.trial(trial, PRIOR, found, estimator=name)
+            key = {"trial": trial, "scenario": ITOKAWA, "estimator": name}
+            builder.add("timings", **key, stage="recognition", seconds=0.1 * time * rng.lognormal(0.0, 0.2))
+    products = [
+        {**PRODUCTS[0], "scenario": ITOKAWA, "estimator": name, "bytes": own} for name, own in size_of.items() if own
+    ]
+    run = read_run(builder.write(**{"estimators": list(ratios), "products": products, "report": None} | manifest))
+    return [cost.dominated_by for cost in costs(run)]
+
+
+WORSE = (1.5, 1.5, 1.5, 0.4)
+
+
+@pytest.mark.parametrize(
+    ("other", "size", "dominated"),
+    [
+        (WORSE, 60_000, ["", "first"]),
+        (WORSE, 50_000, ["", "first"]),
+        (WORSE, 40_000, ["", ""]),  # a smaller data base
+        (WORSE, None, ["", ""]),  # none
+        ((0.8, 1.5, 1.5, 0.4), 60_000, ["", ""]),  # a better position
+        ((1.5, 0.8, 1.5, 0.4), 60_000, ["", ""]),  # a better attitude
+        ((1.5, 1.5, 0.8, 0.4), 60_000, ["", ""]),  # a shorter time
+        ((1.5, 1.5, 1.5, 0.03), 60_000, ["", ""]),  # one or two failures of 40 are within the interval
+        ((1.5, 1.5, 1.5, 0.0), 60_000, ["", "first"]),  # no failure of either
+        ((0.5, 0.5, 0.5, 0.0), 40_000, ["other", ""]),
+        ((0.5, 0.5, 0.5, 0.0), None, ["", ""]),  # none, but a shape that is not counted
+    ],
+)
+def test_an_estimator_is_dominated_if_another_is_better_in_all(builder, other, size, dominated):
+    assert race(builder, other, size=size) == dominated
+
+
+def test_equal_methods_are_seldom_dominated(tmp_path):
+    """Errors, attitudes and times of one law: three independent intervals would have to lie on one side."""
+    found = [race(RunBuilder(tmp_path / str(seed)), (1.0, 1.0, 1.0, 0.0), seed=seed, trials=12) for seed in range(20)]
+    assert all(one == ["", ""] for one in found)
+
+
+def test_a_grid_has_the_table_for_each_scenario(builder):
+    axes = [{"name": "world", "label": "world", "levels": ["a"], "values": None}]
+    levels = [{"name": ITOKAWA, "base": "rock", "levels": {"world": "a"}}]
+    for design, shown in (("full", 1), ("two-level", 0)):
+        content = read_content(fill(builder, grid={"design": design, "axes": axes, "scenarios": levels}))
+        titles = [grid.title for grid in report_kind(content.run).tables(content) if grid is not None]
+        assert sum("Accuracy and its cost" in title for title in titles) == shown
 
 
 def test_marks_lie_at_their_costs():
