@@ -1,4 +1,4 @@
-"""Built-in bodies from formulas: spheres, a contact binary, bodies like Eros, Itokawa, Apophis, Bennu and Vesta."""
+"""Built-in bodies from formulas: spheres, a contact binary, and bodies like Eros, Itokawa, Didymos and others."""
 
 from __future__ import annotations
 
@@ -260,6 +260,10 @@ _VESTA = _Lobed(
     blend_m=1000.0,
     neck_m=(0.0, 0.0, 0.0),
 )
+# Ellipsoids with the extents of (65803) Didymos, Daly et al. (2024), Planetary Science Journal 5, 24, and of its moon
+# Dimorphos, Daly et al. (2023), Nature 616, 443.
+_DIDYMOS = _Lobed((818.0, 796.0, 590.0), (_Lobe((0.0, 0.0, 0.0), (409.0, 398.0, 295.0)),), 1.0, (0.0, 0.0, 0.0))
+_DIMORPHOS = _Lobed((177.0, 174.0, 116.0), (_Lobe((0.0, 0.0, 0.0), (88.5, 87.0, 58.0)),), 1.0, (0.0, 0.0, 0.0))
 
 
 def sphere() -> TriangleMesh:
@@ -281,8 +285,6 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 # Made once in a process: most bodies with detail start from one of them.
-_MAKERS = map(
-    cache,
-    (contact_binary, sphere, apophis_sphere, eros_like, _ITOKAWA.fine, _APOPHIS.fine, _BENNU.fine, _VESTA.fine),
-)
+_LIKE = (_ITOKAWA, _APOPHIS, _BENNU, _VESTA, _DIDYMOS, _DIMORPHOS)
+_MAKERS = map(cache, (contact_binary, sphere, apophis_sphere, eros_like, *(body.fine for body in _LIKE)))
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(dict(zip(EMBEDDED_NAMES, _MAKERS, strict=True)))
