@@ -9,7 +9,7 @@ import numpy as np
 
 from boresight.estimators.contract import ImageRenderer
 from boresight.estimators.landmark.signal import background_of, unusable
-from boresight.scenarios.arrays import BoolArray, FloatArray, Image
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.observation import Frame
 
@@ -75,9 +75,10 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
 
     It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
     and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
-    divide a body. Small groups beyond half of it are taken for stars. Groups within five standard deviations of where
-    the prior has the body come first: stars may be larger than a small body. Raise BoresightError if the image does not
-    have the camera's size.
+    divide a body. A group that does not fit with the larger ones into one circle is of another body; the circle is
+    ``diameter_px`` wide, or as wide as that of the largest group. Small groups beyond half of ``diameter_px`` are taken
+    for stars. Groups within five standard deviations of where the prior has the body come
+    first: stars may be larger than a small body. Raise BoresightError if the image does not have the camera's size.
     """
     if fault := unusable(frame, camera):
         return fault
@@ -105,6 +106,7 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     star = (sides <= _STAR_PX) & (apart_px > 0.5 * diameter_px)
     kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
+    kept &= _of_one_body(labels, np.where(kept, areas, 0), diameter_px)
     first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
     whole = np.array([camera.width_px, camera.height_px])
     low, high = first.min(axis=0), (first + size).max(axis=0)
@@ -115,6 +117,24 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     patch = Patch(image[box].astype(np.float64) - level, int(low[0]), int(low[1]))
     lit = chosen.cut(patch) > 0.0
     return LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
+
+
+def _of_one_body(labels: IndexArray, areas: IndexArray, diameter_px: float) -> BoolArray:
+    """(G,) whether a group, of ``labels`` (H, W), is in one circle with the larger ones; an area of 0 is of none.
+
+    The circle is as wide as the body, whose range may be wrong, or as that of the largest group, and the margin wider.
+    """
+    order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
+    one = np.zeros(len(areas), dtype=bool)
+    hull, widest_px = np.zeros((0, 1, 2), dtype=np.float32), np.inf
+    for group in order:
+        rows, columns = np.nonzero(labels == group)
+        both = cv2.convexHull(np.concatenate([hull, np.column_stack([columns, rows])[:, None].astype(np.float32)]))
+        across_px = 2.0 * cv2.minEnclosingCircle(both)[1] + 1.0
+        one[group] = across_px <= widest_px
+        hull = both if one[group] else hull
+        widest_px = min(widest_px, max(diameter_px, across_px) + _MARGIN_PX)
+    return one
 
 
 def _expected(frame: Frame, camera: Camera) -> tuple[FloatArray, float]:

@@ -43,8 +43,8 @@ class CentroidEstimator:
     It fails when
     -------------
     The image shows no body, the frame cuts it, or the rendering is out of view or in the dark. The centroid is biased
-    where the onboard reflectance or direction to the Sun is wrong, where much of the body is dark, and by a star within
-    half a diameter of its middle.
+    where the onboard reflectance or direction to the Sun is wrong, where much of the body is dark, by a star within
+    half a diameter of its middle, and by a second body that touches it in the image.
 
     Cost
     ----
@@ -56,7 +56,7 @@ class CentroidEstimator:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
     def __init__(self, renderer: ImageRenderer, radius_m: float, options: CentroidOptions) -> None:

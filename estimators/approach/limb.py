@@ -104,7 +104,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:

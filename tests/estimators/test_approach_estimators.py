@@ -239,3 +239,39 @@ def test_only_the_body_is_found():
     assert (found.patch.row + rows.min(), found.patch.column + columns.max()) == (40, 69)
     assert found.noise == pytest.approx(np.sqrt(0.2), rel=0.25)
     assert not found.cut
+
+
+def two_discs(frame: Frame, apart_px: float, radius_px: float = 12.0) -> np.ndarray:
+    """A disc of 30 px at the prior's place, lit from the right on its half, and a second one at an angle from it."""
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
+    u, v = CAMERA.project(frame.prior_T_cam_body.translation_m)
+    first = (np.hypot(columns - u, rows - v) < 30.0) & (columns > u)
+    second = np.hypot(columns - u, rows - v - apart_px) < radius_px
+    return np.where(first | second, 200.0, 10.0).astype(np.float32), first, second
+
+
+def ahead(frame: Frame) -> Frame:
+    """A frame whose prior has the body in the middle."""
+    return replace(frame, prior_T_cam_body=look_at(np.array([0.0, 0.0, 10_000.0])))
+
+
+@pytest.mark.parametrize("diameter_px", [60.0, 40.0], ids=["range", "wrong-range"])
+@pytest.mark.parametrize("apart_px", [45.0, 50.0])
+def test_a_second_body_is_no_part_of_the_body(apart_px, diameter_px):
+    """It lies within a diameter of the middle of the lit part, as one in the image of a moon does."""
+    frame = ahead(observed(1)[1].frame)
+    image, first, _ = two_discs(frame, apart_px)
+    found = find_body(replace(frame, image=image), CAMERA, diameter_px)
+    assert found.lit.sum() == first.sum()
+    assert found.extent_px == 60.0
+
+
+def test_parts_of_a_body_that_is_nearer_than_the_prior_says_stay_together():
+    """A shadow divides it; the larger part is wider than the prior has the body."""
+    frame = ahead(observed(1)[1].frame)
+    image, first, _ = two_discs(frame, 500.0)
+    columns = np.arange(CAMERA.width_px) + 0.5 - CAMERA.project(frame.prior_T_cam_body.translation_m)[0]
+    image[:, (columns > 18.0) & (columns < 21.0)] = 10.0
+    found = find_body(replace(frame, image=image), CAMERA, 45.0)
+    assert found.lit.sum() == (first & (image > 100.0)).sum()
+    assert found.extent_px == 60.0
