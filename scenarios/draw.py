@@ -127,6 +127,7 @@ class Stream(IntEnum):
     TRACK_ERRORS = 19
     SKY = 20
     STAR_TRACKER = 21
+    SECOND_BODY = 22
     ORBIT_CRATERS = 32
     ORBIT_IMAGES = 33
     ORBIT_SIGHTINGS = 34

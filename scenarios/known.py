@@ -150,7 +150,8 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         ideal = (Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images"))
         return Known((*lent, *_exacts("poses of the images that data bases are made of"), *ideal))
     remarks = [*([] if spec.craters is None else [THRESHOLDS]), *hipparcos]
-    return Known((*lent, *_pose(spec), *_stars(spec), *_exposure(spec)), tuple(remarks))
+    second = _nots(*(["second body"] if spec.second_body is not None else []))
+    return Known((*lent, *second, *_pose(spec), *_stars(spec), *_exposure(spec)), tuple(remarks))
 
 
 def _exacts(*names: str) -> list[Item]:

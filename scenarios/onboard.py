@@ -22,6 +22,7 @@ def onboard_spec(spec: ScenarioSpec) -> ScenarioSpec:
         "body": _believed_body(spec.body, onboard),
         "brdf": onboard.brdf or spec.brdf,
         "camera": _believed_camera(spec.camera, onboard),
+        "second_body": None,
         "pose_error": spec.believed_pose_error,
         "onboard": OnboardSpec(declared=onboard.declared),
     }

@@ -24,6 +24,7 @@ from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import (
     BodyRenderer,
     MitsubaRenderer,
+    PairRenderer,
     TiledRenderer,
     choose_variant,
     code_generator,
@@ -35,7 +36,7 @@ from boresight.scenarios.cache import default_cache
 from boresight.scenarios.craters import CrateredSurface, CraterTruth, crater_truth, cratered_surface, shape_digest
 from boresight.scenarios.draw import Stream
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import View
+from boresight.scenarios.geometry import TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario, canonical_json
 from boresight.scenarios.parquet import PARQUET_FAULTS
 from boresight.scenarios.reading import MOST_PIXELS
@@ -159,6 +160,7 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
         "shading": spec.body.shading,
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "views": [int(stream), *(canonical_json(law) for law in laws)],
+        **({} if spec.second_body is None else {"second_body": canonical_json(spec.second_body)}),
         "renderer": [*renderer_version(spec), variant],
         "machine": [versions["mitsuba"], versions["drjit"], compiler, processor()],
     }
@@ -166,8 +168,10 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
 
 
 def fingerprint(view: View) -> bytes:
-    """Hash camera, pose and Sun of a view, exactly."""
-    numbers = (view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body)
+    """Hash camera, poses and Sun of a view, exactly."""
+    second = view.T_body_second
+    numbers = [view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body]
+    numbers += [] if second is None else [second.rotation, second.translation_m]
     parts = [repr(view.camera).encode(), *(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)]
     return hashlib.sha256(b"|".join(parts)).digest()[:16]
 
@@ -230,13 +234,19 @@ def read_chunk(path: Path) -> dict[int, StoredImage]:
 
 
 def open_renderer(scenario: LoadedScenario, variant: str, ground: CrateredSurface | None) -> BodyRenderer:
-    """Create the renderer of a scenario's true body; ``ground`` is its surface if it has craters, see `open_ground`."""
+    """Create the renderer of a scenario's true bodies; ``ground`` is the surface, if it has craters."""
     spec = scenario.spec
     samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
     if ground is not None:
         return TiledRenderer(ground, spec.brdf, samples, chosen)
-    mesh = load_body(spec.body, scenario.search_dirs).mesh
-    return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen)
+
+    def renderer_of(mesh: TriangleMesh, outline_m: FloatArray | None = None) -> MitsubaRenderer:
+        return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen, outline_m)
+
+    meshes = [load_body(body, scenario.search_dirs).mesh for body in spec.bodies]
+    if spec.second_body is None:
+        return renderer_of(meshes[0])
+    return PairRenderer(meshes[0], meshes[1], spec.second_body.albedo_ratio, renderer_of)
 
 
 def open_ground(scenario: LoadedScenario) -> CrateredSurface | None:

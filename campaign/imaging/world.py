@@ -12,7 +12,7 @@ from boresight.campaign.imaging.image_store import Imager, open_ground, open_ren
 from boresight.campaign.imaging.preview import longest_m, ranges_m, typical_range_m
 from boresight.campaign.imaging.real_images import images_digest, open_images
 from boresight.renderers.images import ImageSet, keep_clear_violation
-from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.renderers.mitsuba3 import BodyRenderer, outlines_m
 from boresight.renderers.stars import point_sources, star_pixels
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
@@ -96,13 +96,17 @@ class RenderedImageSource:
         self.imager.flush()
 
     def view(self, seed: int, trial: int) -> View:
-        """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
+        """Draw views until the bodies are clear of the rectangles of the detector that must stay clear."""
         rng, clear = generator(seed, Stream.TRUTH, trial), self.viewpoint.keep_clear_px
         state, spec = state_of_trial(self.viewpoint, seed, trial), drawn_together(self.scenario.spec, seed, trial)
         viewpoint, surface = spec.viewpoint or self.viewpoint, self.imager.ground
+        rng_second = generator(seed, Stream.SECOND_BODY, trial)
+        second = None if spec.second_body is None else spec.second_body.draw(rng_second)
         for _ in range(_MOST_DRAWS):
             view = draw_aimed_view(viewpoint, spec.lighting, self.camera, self.shape, rng, state, surface)
-            if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
+            view = view if second is None else replace(view, T_body_second=second)
+            outlines = outlines_m(self.imager.renderer, view) if clear else []
+            if not any(keep_clear_violation(view, one, clear) for one in outlines):
                 return view
         raise BoresightError(
             f"{self.scenario.path}: viewpoint.keep_clear_px: the body reached into it in {_MOST_DRAWS} views of trial"
@@ -201,11 +205,14 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
     try:
         body = load_body(spec.body, scenario.search_dirs)
         onboard = load_body(onboard_spec(spec).body, scenario.search_dirs)
+        for other in spec.bodies[1:]:
+            load_body(other, scenario.search_dirs)
         if spec.craters is not None:
             check_size(body.mesh, spec.craters)
     except BoresightError as error:
         raise BoresightError(f"{scenario.path}: {error}") from error
     _check_range(scenario, body.mesh)
+    _check_second_body(scenario, body.mesh)
     if spec.viewpoint is not None and spec.viewpoint.states is not None:
         # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
         check_outside(scenario, body.mesh, spec.viewpoint.states, "viewpoint")
@@ -247,6 +254,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh)
+    _check_second_body(scenario, body.mesh)
     together = () if spec.correlated is None else (spec.correlated,)
     imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting, *together)
     stars = None if spec.stars is None else open_stars(spec.stars, scenario.search_dirs)
@@ -302,6 +310,25 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
         raise BoresightError(
             f"{scenario.path}: viewpoint.range_m: {viewpoint.range_bounds_m[0]:g} m leads into the body, which reaches"
             f" {reach_m:.6g} m from its origin at those latitudes: choose a larger range"
+        )
+
+
+def _check_second_body(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
+    """Refuse a second body that reaches the first, and ranges at which the camera may be inside it."""
+    second = scenario.spec.second_body
+    if second is None:
+        return
+    axis_m, reach_m = second.semi_major_axis_m, load_body(second.body, scenario.search_dirs).mesh.radius_m
+    if axis_m <= mesh.radius_m + reach_m:
+        raise BoresightError(
+            f"{scenario.path}: second_body.semi_major_axis_m: at {axis_m:g} m the second body, with a radius of"
+            f" {reach_m:.6g} m, reaches the first, with one of {mesh.radius_m:.6g} m: choose a longer axis"
+        )
+    shortest_m, _, longest_m = ranges_m(scenario, mesh)
+    if shortest_m <= axis_m + reach_m and longest_m >= axis_m - reach_m:
+        raise BoresightError(
+            f"{scenario.path}: viewpoint: ranges from {shortest_m:g} to {longest_m:g} m may lead into the second body,"
+            f" {axis_m - reach_m:.6g} to {axis_m + reach_m:.6g} m from the origin: choose other ranges"
         )
 
 

@@ -189,7 +189,7 @@ def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
 def _data(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
     """Yield the files of a scenario as it names them, and where they are here."""
     spec, dirs = scenario.spec, scenario.search_dirs
-    for shape in dict.fromkeys((spec.body.shape, onboard_spec(spec).body.shape)):
+    for shape in dict.fromkeys(body.shape for body in (*spec.bodies, onboard_spec(spec).body)):
         if shape not in EMBEDDED:
             yield _portable(shape, scenario), find_data_file(shape, dirs, "shapes", "body.shape")
     for name, path in image_files(scenario):

@@ -162,7 +162,7 @@ def _change_data(overrides: Iterable[str]) -> bool:
 def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
     """Yield the shapes, images, tracks and kernels that a scenario reads, whether they are there or not."""
     spec, dirs = scenario.spec, scenario.search_dirs
-    named = [("shapes", spec.body.shape), ("shapes", onboard_spec(spec).body.shape)]
+    named = [("shapes", body.shape) for body in (*spec.bodies, onboard_spec(spec).body)]
     if spec.images is not None:
         named.append(("images", spec.images.folder))
         named += [("spice", kernel) for kernel in (spec.images.spice.kernels if spec.images.spice else ())]

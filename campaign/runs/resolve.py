@@ -52,8 +52,9 @@ def resolve(
 def _replaced(files: Sequence[LoadedScenario], embedded: Sequence[LoadedScenario]) -> tuple[str, ...]:
     """Say which built-in body is in place of which shape file."""
     specs = [(a.spec, b.spec) for a, b in zip(files, embedded, strict=True)]
-    bodies = [*((a.body, b.body) for a, b in specs), *((a.onboard.body, b.onboard.body) for a, b in specs)]
-    said = [f"{b.shape} in place of {a.shape}" for a, b in bodies if a and b and a.shape != b.shape]
+    bodies = [pair for a, b in specs for pair in zip(a.bodies, b.bodies, strict=True)]
+    bodies += [(a.onboard.body, b.onboard.body) for a, b in specs if a.onboard.body and b.onboard.body]
+    said = [f"{b.shape} in place of {a.shape}" for a, b in bodies if a.shape != b.shape]
     return tuple(dict.fromkeys(said))
 
 

@@ -2,6 +2,7 @@
 
 from boresight.renderers.mitsuba3.bsdf import register_bsdfs
 from boresight.renderers.mitsuba3.llvm import find_llvm
+from boresight.renderers.mitsuba3.pair import PairRenderer, outlines_m
 from boresight.renderers.mitsuba3.renderer import MitsubaRenderer
 from boresight.renderers.mitsuba3.tiled import BodyRenderer, TiledRenderer, renderer_version
 from boresight.renderers.mitsuba3.variant import Variant, choose_variant, code_generator, gpu_status, limit_threads
@@ -9,6 +10,7 @@ from boresight.renderers.mitsuba3.variant import Variant, choose_variant, code_g
 __all__ = [
     "BodyRenderer",
     "MitsubaRenderer",
+    "PairRenderer",
     "TiledRenderer",
     "Variant",
     "choose_variant",
@@ -16,6 +18,7 @@ __all__ = [
     "find_llvm",
     "gpu_status",
     "limit_threads",
+    "outlines_m",
     "register_bsdfs",
     "renderer_version",
 ]

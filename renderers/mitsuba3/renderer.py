@@ -21,7 +21,7 @@ from boresight.renderers.mitsuba3.rays import (
 from boresight.renderers.mitsuba3.scalar import ScalarTracer
 from boresight.renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from boresight.renderers.mitsuba3.wavefront import WavefrontTracer, opaque
-from boresight.scenarios.arrays import Image
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import SurfaceHits, TriangleMesh, View
 from boresight.scenarios.spec.brdf import BrdfSpec
@@ -35,7 +35,8 @@ class MitsubaRenderer:
 
     Images are deterministic: each pixel is the mean of a regular grid of ``samples_per_pixel``, a square number. The
     mesh is closed, with outward normals; its albedo multiplies ``brdf``. ``shading`` is ``flat``, by the normals of the
-    facets, or ``smooth``, by those of the vertices, interpolated. ``variant`` is by default the fastest that works.
+    facets, or ``smooth``, by those of the vertices, interpolated. ``variant`` is by default the fastest that works,
+    and ``outline_m`` (N, 3), points whose hull holds the mesh, the vertices of its convex hull.
     Raise `BoresightError` for a mesh without facets, an unknown ``shading`` and samples that are not a square number.
     """
 
@@ -49,6 +50,7 @@ class MitsubaRenderer:
         samples_per_pixel: int = 4,
         shading: Literal["flat", "smooth"] = "flat",
         variant: Variant | None = None,
+        outline_m: FloatArray | None = None,
     ) -> None:
         if len(mesh.faces) == 0:
             raise BoresightError("the body to render has no facets: give a mesh with at least one")
@@ -59,7 +61,7 @@ class MitsubaRenderer:
         self.variant = variant or choose_variant()
         self._samples_per_pixel = samples_per_pixel
         self._mesh = mesh
-        self._outline_m = outline_points(mesh)
+        self._outline_m = outline_points(mesh) if outline_m is None else outline_m
         self._vertex_normals = vertex_normals(mesh) if shading == "smooth" else None
         tracer = WavefrontTracer if self.variant.is_wavefront else ScalarTracer
         self._tracer = tracer(self.variant, mesh, brdf, samples_per_pixel, self._vertex_normals)

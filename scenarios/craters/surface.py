@@ -173,9 +173,9 @@ def surface_digest(body: BodySpec, craters: CratersSpec, search_dirs: Sequence[P
 
 
 def shape_digest(spec: ScenarioSpec, search_dirs: Sequence[Path] = ()) -> str:
-    """Digest of everything that determines the shape of a scenario's body, cratered or not, without building it."""
+    """Digest of all that determines the shapes of a scenario's bodies, cratered or not, without building them."""
     if spec.craters is None:
-        return body_digest(spec.body, search_dirs)
+        return "+".join(body_digest(body, search_dirs) for body in spec.bodies)
     return surface_digest(spec.body, spec.craters, search_dirs)
 
 

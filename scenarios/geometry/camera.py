@@ -158,11 +158,15 @@ class SurfaceHits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Camera with any distortion, pose, and unit vector (3,) towards the Sun in the body frame, normalised here."""
+    """Camera with any distortion, pose, and unit vector (3,) towards the Sun in the body frame, normalised here.
+
+    ``T_body_second`` takes coordinates of a second body to those of the body; None where there is none.
+    """
 
     camera: Camera
     T_cam_body: Pose
     sun_dir_body: NDArray[np.float64]
+    T_body_second: Pose | None = None
 
     def __post_init__(self) -> None:
         sun = np.array(self.sun_dir_body, dtype=np.float64)

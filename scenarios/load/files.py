@@ -21,6 +21,7 @@ from boresight.scenarios.load.yaml_text import ConfigEntry, describe, entry_of, 
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.second import SecondBodySpec
 
 SUFFIXES = (".yaml", ".yml")
 _MAX_BYTES = 1_000_000
@@ -181,11 +182,16 @@ def load_scenario(
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, folders, embedded))
+    if isinstance(second := plain.get("second_body"), dict):  # measured by its own body
+        lengths["second_body"] = lengths_left_out(
+            (SecondBodySpec,), second, scale_as_written(second, folders, embedded)
+        )
     spec = validated(ScenarioSpec, root, folders, lengths=lengths, embedded=embedded)
     if embedded:
         believed = spec.onboard.body
         onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
-        spec = spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard})
+        second = spec.second_body and spec.second_body.model_copy(update={"body": spec.second_body.body.embedded()})
+        spec = spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard, "second_body": second})
     return LoadedScenario(spec, path, folders)
 
 

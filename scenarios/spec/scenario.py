@@ -15,6 +15,7 @@ from boresight.scenarios.spec.camera import BodyKernelsSpec, CameraSpec, Detecto
 from boresight.scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
 from boresight.scenarios.spec.distribution import Choice, Law, Row3, Scalar
 from boresight.scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.spec.second import SecondBodySpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.stars import StarsSpec
 from boresight.scenarios.spec.world import PAPER_POSE_ERROR, CorrelatedSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -282,6 +283,7 @@ class ScenarioSpec(SpecModel):
     viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
     correlated: CorrelatedSpec | None = optional("Keys of views and images that are drawn together")
+    second_body: SecondBodySpec | None = optional("A second body in rendered images, on an orbit about the first")
     stars: StarsSpec | None = optional("Stars behind the body in rendered images; left out: a black sky")
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks of a camera's way, instead of viewpoint")
@@ -298,6 +300,17 @@ class ScenarioSpec(SpecModel):
             raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
         if self.craters is not None and body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
+
+    @rule
+    def _second_body_in_rendered_images(self) -> None:
+        if self.second_body is None:
+            return
+        if self.viewpoint is None:
+            raise ValueError(f"second_body has no part in a scenario with {self._kind}: leave it out")
+        if self.craters is not None:
+            raise ValueError("second_body: no image has two bodies and the section craters: leave one of the two out")
+        if self.second_body.body.shading != self.body.shading:
+            raise ValueError(f"second_body.body.shading: both bodies have the same: give {self.body.shading}")
 
     @model_validator(mode="after")
     def _stars_behind_a_rotating_body(self) -> Self:
@@ -373,6 +386,11 @@ class ScenarioSpec(SpecModel):
         idle = [key for key in self.onboard.stated() if key not in lent]
         if idle:
             raise ValueError(f"onboard.{idle[0]} has no part in a scenario with {self._kind}: leave it out")
+
+    @property
+    def bodies(self) -> tuple[BodySpec, ...]:
+        """The body, and the second one if there is one."""
+        return (self.body,) if self.second_body is None else (self.body, self.second_body.body)
 
     @property
     def real(self) -> bool:

@@ -70,6 +70,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "onboard.pose_error": (None, "{position_cam_m: {normal: [1, 2, 3]}}"),
     "onboard.brdf": (None, "{kind: oren-nayar}"),
     "onboard.body": (None, "{shape: sphere}"),
+    "second_body.body": (None, "{shape: sphere}"),
     "onboard.facets": (None, "20000"),
     "onboard.relief": (None, "{below_m: 40, seed: 5}"),
     "onboard.height_error": (None, "{rms_m: 2, max_wavelength_m: 200, min_wavelength_m: 40}"),
@@ -105,6 +106,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
 }
 # Said in the terms of the body and its reflectance, whose keys have their own lines.
 SAME_TERMS = {f"onboard.{key}" for key in ("brdf", "body", "relief", "height_error", "pose_error", "declared")}
+SAME_TERMS |= {"second_body.body"}
 # Filled in, or read from kernels with tests of their own: test_trajectory.py, test_spice_camera.py.
 SAME_TERMS |= {"viewpoint.trajectory.read_states", "viewpoint.trajectory.spice", "camera.spice"}
 SAME_TERMS |= {

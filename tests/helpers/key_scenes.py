@@ -90,6 +90,8 @@ SCENES = {
     )
     + "stars: {zero_point_e_per_s: 2.0e+4, rotation: {pole_ra_deg: 40, pole_dec_deg: 60, meridian_deg: 9,"
     + " rate_deg_day: 700}}\n",
+    "pair": RENDERED.replace("fov_deg: 18.3", "fov_deg: 60")
+    + "second_body: {body: {shape: dimorphos-like}, semi_major_axis_m: 800, inclination_deg: 30, node_deg: 50}\n",
     "above": RENDERED.replace("range_m: 2000", "altitude_m: 1700"),
     "together": RENDERED.replace("range_m: 2000", "range_m: {choice: [1800, 2500]}, off_pointing_deg: {choice: [0, 2]}")
     + "correlated: {keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}\n",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -35,7 +35,7 @@ from boresight.estimators.craters.pose import CraterPose
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer, Recognition
-from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.renderers.mitsuba3 import BodyRenderer, outlines_m
 from boresight.renderers.mitsuba3.rays import body_window
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.recognition import (
@@ -195,7 +195,7 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
     """Draw the body at the prior, at the estimate and at the truth."""
     frame, camera = shown.observation.frame, shown.observation.camera
     image = frame.image.astype(np.float64)
-    truth = shown.truth.T_cam_body
+    truth, true_view = shown.truth.T_cam_body, replace(shown.truth, camera=camera)
     poses = {"prior": ("prior", frame.prior_T_cam_body)}
     reached = _reached(shown.estimate)
     if reached is not None:
@@ -204,7 +204,7 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
     looks, none = [], "" if reached is not None else " There is no estimate, and no stage had a pose."
     for name, pose in poses.items():
         try:
-            looks.append(_look(experiment.world.renderer, camera, frame.sun_dir_cam, image, (name, *pose)))
+            looks.append(_look(experiment.world.renderer, true_view, frame.sun_dir_cam, image, (name, *pose)))
         except BoresightError as error:  # an estimate may stand within the body
             none += f" Nothing can be rendered at the {pose[0]}: {error}."
     return NamedFigure(
@@ -229,13 +229,13 @@ def _reached(estimate: Estimate | None) -> tuple[str, Pose] | None:
 
 
 def _look(
-    renderer: BodyRenderer, camera: Camera, sun_dir_cam: FloatArray, image: FloatArray, posed: tuple[str, str, Pose]
+    renderer: BodyRenderer, truth: View, sun_dir_cam: FloatArray, image: FloatArray, posed: tuple[str, str, Pose]
 ) -> PoseRendering:
-    """Render the true body at a pose, with the known direction of the Sun in the camera."""
+    """Render the true bodies at a pose, with the known direction of the Sun in the camera."""
     name, heading, T_cam_body = posed
-    view = View(camera, T_cam_body, sun_dir_cam @ T_cam_body.rotation)
-    body, window = np.zeros(image.shape, dtype=np.bool_), body_window(view, renderer.outline_m)
-    if window is not None:
+    view = replace(truth, T_cam_body=T_cam_body, sun_dir_body=sun_dir_cam @ T_cam_body.rotation)
+    body, windows = np.zeros(image.shape, dtype=np.bool_), [body_window(view, o) for o in outlines_m(renderer, view)]
+    for window in filter(None, windows):
         rows, columns = np.mgrid[window.slices] + 0.5
         hit = renderer.surface(view, np.column_stack([columns.ravel(), rows.ravel()])).hit
         body[window.slices] = hit.reshape(rows.shape)
