@@ -132,7 +132,10 @@ def test_campaigns_of_the_catalogue_say_all_lengths(name):
     read = read_campaign(name)
     kind = kind_named(read.loaded.spec.experiment)
     for entry in read.loaded.spec.estimators:
-        assert set(dict(dotted(kind.lengths(entry, read.scenarios[0])))) <= UNUSED, entry.label
+        said = set(dict(dotted(kind.lengths(entry, read.scenarios[0]))))
+        if entry.name == "centroid" and entry.options.get("shape") != "landmark-mesh":
+            said = {key for key in said if not key.startswith("database.")}  # of a data base that is not built
+        assert said <= UNUSED, entry.label
 
 
 def models(model: type[SpecModel]):
