@@ -69,6 +69,11 @@ class LitBody:
         rows, columns = np.nonzero(self.lit)
         return float(max(np.ptp(rows), np.ptp(columns)) + 1)
 
+    def brighter(self, share: float) -> LitBody:
+        """Return the body by its pixels above a share of its bright level: dust around a comet is darker."""
+        floor = max(self.floor, share * float(np.percentile(self.patch.image[self.lit], 99.0)))
+        return replace(self, lit=self.patch.image > floor, floor=floor)
+
 
 def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str:
     """Find the lit body in an image, or return the reason why there is none.
@@ -165,6 +170,12 @@ def _sky(image: Image) -> tuple[float, float]:
     return level, max(noise, float(below))
 
 
+def sphere_px(radius_m: float, T_cam_body: Pose, camera: Camera) -> float:
+    """Return the diameter, px, of a sphere about the body's origin in the image, seen from outside."""
+    range_m = float(np.linalg.norm(T_cam_body.translation_m))
+    return 2.0 * radius_m / max(range_m, radius_m) / camera.pixel_angle_rad
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyView:
     """Renderings of a body in windows of the image, by its distance from the camera.
@@ -181,8 +192,7 @@ class BodyView:
 
     def diameter_px(self, T_cam_body: Pose) -> float:
         """Diameter of the sphere in the image, px."""
-        range_m = float(np.linalg.norm(T_cam_body.translation_m))
-        return 2.0 * self.radius_m / max(range_m, self.radius_m) / self.camera.pixel_angle_rad
+        return sphere_px(self.radius_m, T_cam_body, self.camera)
 
     def render(self, T_cam_body: Pose) -> Patch | None:
         """Render the body in a window that has all of it; None if it is dark or behind the camera.

@@ -31,6 +31,7 @@ _COARSE_STEPS, _FINE_STEPS = 3, 3
 _HUBER = 1.5
 _ARCS = 12
 _LIT_PX = 1.0
+_LIMB_SHARE = 0.2  # of the bright level: dust before the sky of 67P has up to a tenth
 
 
 class LimbOptions(SpecModel):
@@ -91,7 +92,8 @@ class LimbEstimator:
     It fails when
     -------------
     Fewer than ``points_min`` points of the lit limb are in the image: the body fills the frame, or its mean radius is
-    below 4 px. The outline must be that of the shape: errors of the shape enter in full.
+    below 4 px. The outline must be that of the shape: errors of the shape enter in full. Light around the body is left
+    out up to a fifth of its bright level.
 
     Cost
     ----
@@ -131,6 +133,7 @@ class LimbEstimator:
             body = find_body(frame, camera, float(size_px))
             if isinstance(body, str):
                 return Estimate("failed", body, timings_s=clock.seconds)
+            body = body.brighter(_LIMB_SHARE)
             count = int(np.clip(np.pi * size_px / _SPACING_PX, _LEAST_RAYS, _MOST_RAYS))
             scene = _Scene(body, frame, camera, ray_directions(count))
             begun = self._scan(scene, self._place(scene))
@@ -244,6 +247,8 @@ class LimbEstimator:
             if limb is None:
                 return None
             samples = sampled(scene.body.patch, limb.uv_px[:, None] + ACROSS_PX[:, None] * limb.normals[:, None])
+            outside = samples[:, -2:].mean(axis=1, keepdims=True)
+            samples = samples - np.where(outside < scene.body.floor, outside, 0.0)  # else it is the body again
             rise = _outermost_rise(samples, scene.body.floor)
             start_px = np.interp(rise, np.arange(len(ACROSS_PX)), ACROSS_PX)
             radius_px = float(np.linalg.norm(limb.uv_px - centre_px, axis=1).mean())

@@ -168,6 +168,22 @@ def test_a_star_beside_the_body_is_no_part_of_it(name):
     assert np.linalg.norm(away) < 0.05
 
 
+@pytest.mark.parametrize("trial", [1, 2])
+def test_dust_around_a_comet_is_not_its_limb(trial):
+    """A tenth as bright as the surface, brightest towards the Sun; a limb outside the true one is a shorter range."""
+    truth, seen = observed(trial, size_px=60.0)
+    image, sun = seen.frame.image, seen.frame.sun_dir_cam[:2]
+    rows, columns = np.mgrid[:128, :160] + 0.5
+    u, v = CAMERA.project(truth.translation_m) + 15.0 * sun / np.linalg.norm(sun)
+    glow = 0.1 * np.percentile(image, 99.0) * np.exp(-np.hypot(columns - u, rows - v) / 60.0)
+    dusty = np.maximum(image, 0.0) + glow.astype(np.float32)
+    dark, bright = (estimate("limb", replace(seen, frame=replace(seen.frame, image=each))) for each in (image, dusty))
+    assert bright.status == "ok"
+    moved = CAMERA.project(bright.pose.translation_m) - CAMERA.project(dark.pose.translation_m)
+    assert np.linalg.norm(moved) < 0.03
+    assert bright.pose.translation_m[2] / dark.pose.translation_m[2] == pytest.approx(1.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("name", SIGHTS)
 def test_a_rendering_that_does_not_meet_the_body_is_a_failure(name):
     """One round only, from a prior that is off by two and a half times the body's size."""
