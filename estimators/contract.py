@@ -133,9 +133,10 @@ class Estimator(Protocol):
     """An estimator of the pose from one observation.
 
     ``version`` is part of the key of every result: raise it when results change. Three class attributes are optional:
-    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base`` and ``second``, the
-    names of estimators that it builds on unless options of these names give others, with their options in ``options``
-    and ``second_options``. Their versions are part of the key.
+    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base`` and ``second``, or
+    ``far``, ``middle`` and ``near``, the names of estimators that it builds on unless options of these names give
+    others ('' for none), with their options in ``options``, ``second_options`` and so on. Their versions are part of
+    the key.
     """
 
     name: ClassVar[str]

@@ -141,6 +141,7 @@ def _imported(name: str, place: str, load: Callable[[], object]) -> object:
 
 ESTIMATORS: Registry[Estimator] = Registry(
     own={
+        "approach": "boresight.estimators.approach.handover:ApproachEstimator",
         "centroid": "boresight.estimators.approach.centroid:CentroidEstimator",
         "centroid-phase": "boresight.estimators.approach.matching:LambertCorrelation",
         "limb": "boresight.estimators.approach.limb:LimbEstimator",
@@ -223,6 +224,13 @@ def needed_sensors(name: str) -> frozenset[str]:
     return frozenset(cast("Iterable[str]", _said_by(name, "sensors", ())))
 
 
+BASES = {
+    "base": "options", "second": "second_options",
+    "far": "far_options", "middle": "middle_options", "near": "near_options",
+}  # fmt: skip
+"""Options and class attributes that name an estimator that another builds on, with the section of its options."""
+
+
 @dataclass(frozen=True, slots=True)
 class Base:
     """An estimator that another builds on: the option that names it, its name, the key of its options and these."""
@@ -236,11 +244,11 @@ class Base:
 def bases_of(name: str, options: Mapping[str, object]) -> tuple[Base, ...]:
     """Return the estimators that another builds on, by its options or class attributes; none for most."""
     found = []
-    for key, section in (("base", "options"), ("second", "second_options")):
+    for key, section in BASES.items():
         default, given = _said_by(name, key, None), options.get(section)
-        if isinstance(default, str):
+        if isinstance(default, str) and (chosen := options.get(key, default)):
             of_base = cast("Mapping[str, object]", given) if isinstance(given, Mapping) else {}
-            found.append(Base(key, str(options.get(key, default)), section, of_base))
+            found.append(Base(key, str(chosen), section, of_base))
     return tuple(found)
 
 

@@ -212,11 +212,11 @@ class TunedEstimator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options, which name the base and give its options."""
         # It imports this module by name.
-        from boresight.estimators.registry import built_base, estimator_class, source_digest
+        from boresight.estimators.registry import bases_of, built_base, estimator_class, source_digest
 
         parsed = parse_options(TunedOptions, options, cls.name)
         found = estimator_class(parsed.base)
-        if hasattr(found, "base"):
+        if bases_of(parsed.base, parsed.options):
             raise BoresightError(f"estimator {cls.name}: base: {parsed.base} builds on another itself: tune that one")
         base = built_base(parsed.base, parsed.options, assets)
         asked = Rehearsals(

@@ -106,7 +106,11 @@ def test_errors_that_the_shape_on_board_cannot_have_are_refused(tmp_path, overri
 
 
 def test_a_base_that_builds_on_another_is_refused_and_one_without_its_sensor(tmp_path, capsys):
-    for base, refused in (("tuned", "tuned builds on another itself"), ("landmark-altimeter", "sensors.altimeter")):
+    for base, refused in (
+        ("tuned", "tuned builds on another itself"),
+        ("approach", "approach builds on another itself"),
+        ("landmark-altimeter", "sensors.altimeter"),
+    ):
         file = write_campaign(tmp_path, CAMPAIGN.replace("base: photometric", f"base: {base}"))
         assert main(["validate", str(file)]) == 2
         assert refused in capsys.readouterr().err
