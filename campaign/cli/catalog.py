@@ -47,7 +47,7 @@ _GROUPS = (
     ("missions", ("osiris-rex-*", "dawn-*")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
-    ("compare", ("trade-*", "compare-*", "partial-*")),
+    ("compare", ("trade-*", "compare-*", "partial-*", "approach-*")),
 )
 """Headings of ``list`` with the names below them, in their order; a campaign belongs to the first that fits."""
 
