@@ -152,6 +152,23 @@ class Estimator(Protocol):
         ...
 
 
+@runtime_checkable
+class Predictor(Protocol):
+    """An estimator that predicts its covariance without an image: an optional part of the contract.
+
+    Estimators of sequences and orbits may have a ``predict`` as well, see their contracts.
+    """
+
+    def predict(self, planned: Observation) -> NDArray[np.float64] | None:
+        """(6, 6) covariance of the error, [rotation_rad, translation_m] in camera axes, that an estimate will have.
+
+        ``planned`` has an image of (0, 0) pixels, and its prior pose is the one that the geometry is taken from. The
+        covariance is linear: errors are small enough for the derivatives at that pose. Result None: the geometry
+        does not allow an estimate.
+        """
+        ...
+
+
 def typed_product(assets: Assets, kind: str, options: SpecModel, expected: type[T], estimator: str) -> T:
     """Return the product of a kind that was built with ``options``, for the estimator of that name.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
+from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance, state_of_trial
 from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.observation import CameraSigma, Frame, Observation, RangeReading, SkyKnowledge
 from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
@@ -56,9 +56,30 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
         altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
         sky=_sky(spec, trial_image, drawn.rotation.T @ prior.rotation, generator(seed, Stream.STAR_TRACKER, trial)),
     )
+    return Observation(camera.pinhole, frame, _camera_sigma(spec))
+
+
+def plan(world: World, seed: int, trial: int) -> Observation:
+    """Create the observation of a trial without its image, for predictions: the view is that of the trial.
+
+    Its prior pose is the drawn one, without an error; the covariance is the one that the spacecraft believes in there.
+    """
+    spec, view = world.scenario.spec, world.source.view(seed, trial)
+    pose, viewpoint, velocity_m_s = view.T_cam_body, spec.viewpoint, None
+    if viewpoint is not None and viewpoint.states is not None:
+        velocity_m_s = viewpoint.states.velocity(state_of_trial(viewpoint, seed, trial))
+    frame = Frame(
+        image=np.zeros((0, 0), dtype=np.float32),
+        sun_dir_cam=_read_only(pose.rotate(view.sun_dir_body)),
+        prior_T_cam_body=pose,
+        prior_covariance=_read_only(prior_covariance(spec.believed_pose_error, pose, world.camera, velocity_m_s)),
+    )
+    return Observation(onboard_camera(spec).pinhole, frame, _camera_sigma(spec))
+
+
+def _camera_sigma(spec: ScenarioSpec) -> CameraSigma:
     declared = spec.onboard.camera_sigma
-    sigma = CameraSigma() if declared is None else CameraSigma(declared.focal, declared.principal_point_px)
-    return Observation(camera.pinhole, frame, sigma)
+    return CameraSigma() if declared is None else CameraSigma(declared.focal, declared.principal_point_px)
 
 
 def _sky(

@@ -49,6 +49,9 @@ class InspectedTrial(Generic[Truth, Observed, Estimated]):
     image_name: str = ""
 
 
+Prediction = Callable[[], Mapping[str, float] | None]
+"""Predicts RMS errors of a method in a trial, by the names of `boresight.campaign.trial.score.MEASURES`."""
+
 Inspector = Callable[[InspectedTrial[Any, Any, Any]], None]
 """Called with each trial of one method, for inspection."""
 
@@ -196,6 +199,15 @@ class Trials(ABC):
     @abstractmethod
     def trial(self, trial: int) -> Records:
         """Run one trial with all methods: the records that it adds to each stored table."""
+
+    @classmethod
+    def predicts(cls, entry: EstimatorSpec) -> bool:
+        """Whether a method of a campaign predicts its covariance without images."""
+        return False
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Draw the geometry of a trial; return the prediction of each method that `predicts`, still to be computed."""
+        return {}
 
     def flush(self) -> None:  # noqa: B027  most kinds render nothing
         """Store the rendered images, at the end of a block of trials."""

@@ -251,6 +251,11 @@ class MethodRunner(TrialRunner[Optioned, Drawn, Answer]):
         return cls.method_class(name).version
 
     @classmethod
+    def predicts(cls, entry: EstimatorSpec) -> bool:
+        """Whether the class of the method has ``predict``."""
+        return hasattr(cls.method_class(entry.name), "predict")
+
+    @classmethod
     def options_model(cls, name: str) -> type[SpecModel] | None:
         """Return the model of the options of a method, if it has one."""
         return model_of(cls.method_class(name))

@@ -149,6 +149,37 @@ def _foretold(covariance: FloatArray | None, pose: Pose) -> tuple[float | None, 
     return float(np.sqrt(max(position_m2, 0.0))), float(np.degrees(np.sqrt(max(attitude_rad2, 0.0))))
 
 
+MEASURES = ("position_m", "attitude_deg", "sight_urad", "range_m")
+"""Predicted errors: of the camera in the body and of the attitude, as scored; of the direction to the body's origin in
+camera axes, and of its distance."""
+
+
+def predicted_errors(covariance: FloatArray, pose: Pose) -> dict[str, float]:
+    """RMS errors by `MEASURES` of a covariance (6, 6), [rotation_rad, translation_m] in camera axes, at T_cam_body."""
+    position_m, attitude_deg = _foretold(covariance, pose)
+    range_m = float(np.linalg.norm(pose.translation_m))
+    sight = pose.translation_m / range_m
+    along_m2, whole_m2 = float(sight @ covariance[3:, 3:] @ sight), float(np.trace(covariance[3:, 3:]))
+    across_m = np.sqrt(max(whole_m2 - along_m2, 0.0))
+    values = position_m, attitude_deg, 1e6 * across_m / range_m, np.sqrt(max(along_m2, 0.0))
+    return dict(zip(MEASURES, map(float, values), strict=True))
+
+
+def measured_errors(row: Mapping[Any, Any]) -> dict[str, float]:
+    """Errors by `MEASURES` of a row of a finished run; those that its kind of trial has."""
+    found = {
+        name: row.get(column)
+        for name, column in zip(MEASURES, ("position_error_m", "attitude_error_deg"), strict=False)
+    }
+    if row.get("true_tx_m") is not None and row.get("tx_m") is not None:
+        estimated, true = pose_of(row).translation_m, pose_of(row, "true_").translation_m
+        range_m = float(np.linalg.norm(true))
+        along_m = float((estimated - true) @ true) / range_m
+        across_m = np.sqrt(max(float(np.sum((estimated - true) ** 2)) - along_m**2, 0.0))
+        found |= {"sight_urad": 1e6 * across_m / range_m, "range_m": along_m}
+    return {name: float(value) for name, value in found.items() if value is not None and np.isfinite(value)}
+
+
 def check_listed(scenario: LoadedScenario) -> None:
     """Refuse a truth that leaves most detectable craters out: when found, they would count as false alarms.
 

@@ -20,7 +20,15 @@ from boresight.estimators.orbit.model import (
     state_derivatives,
 )
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
-from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
+from boresight.estimators.orbit.solve import (
+    GaussNewtonResult,
+    HuberLoss,
+    LandmarkPrior,
+    StoppingCriteria,
+    adjust,
+    gauss_newton_step,
+    linearise,
+)
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
@@ -263,6 +271,26 @@ class BatchFilter(Configured[OrbitOptions]):
             solution = replace(BatchState.initial(data, layout), x=fit.solution.x)
             growth = 1.0 + 0.5 * (growth - 1.0)
         return OrbitEstimate("failed" if reason else "ok", found, reason, diagnostics, time.perf_counter() - began)
+
+    def predict(self, data: OrbitData) -> FloatArray | None:
+        """(6, 6) covariance of the state at the epoch, m and m/s, from the normal matrix at the a priori values.
+
+        No residual is used: no sighting is edited, and no number is split. Pixels only size the effect of the roll.
+        None if the sightings are too few, or the a priori orbit leads into the body.
+        """
+        if len(data.pictures.image) < _MIN_SIGHTINGS:
+            return None
+        layout = ParameterLayout.of(data, self.options)
+        start = BatchState.initial(data, layout)
+        arc = DataArc.until(data, layout, self.options, start, float(data.pictures.times_s[-1]))
+        before = Unknowns(start.x, start.tilts, data.landmarks.positions_body_m[arc.landmarks])
+        try:
+            here = linearise(arc.model, arc.prior(), before, _MIN_SQUARES)
+            step = gauss_newton_step(arc.model, arc.prior(), here, _MIN_SQUARES, 0.0)
+        except (OrbitLostError, np.linalg.LinAlgError):
+            return None
+        covariance = GaussNewtonResult(here, step, True, 0).covariance(layout.size)
+        return np.asarray(covariance[:6, :6] * np.outer(layout.state_sigma, layout.state_sigma))
 
     def _fit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState, growth: float) -> _Fit:
         """Fit a growing arc; then split, edit and adjust the whole arc by least squares."""

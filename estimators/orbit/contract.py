@@ -58,7 +58,11 @@ class OrbitEstimate:
 
 
 class OrbitEstimator(Protocol):
-    """A method of orbit determination. ``version`` is part of every result's key: raise it when results change."""
+    """A method of orbit determination. ``version`` is part of every result's key: raise it when results change.
+
+    A method ``predict(data) -> FloatArray | None`` is optional: the covariance (6, 6) of the state at the epoch that
+    the geometry of the data allows, without residuals.
+    """
 
     name: ClassVar[str]
     version: ClassVar[int]

@@ -43,7 +43,12 @@ class SequenceEstimate:
 
 
 class SequenceEstimator(Protocol):
-    """Estimator of the camera positions along a sequence of tracks. ``version`` is part of every result's key."""
+    """Estimator of the camera positions along a sequence of tracks. ``version`` is part of every result's key.
+
+    A method ``predict(sequence, positions_m, points_m) -> FloatArray | None`` is optional: the covariance (3, 3) of the
+    last camera position, m^2, in the body frame, by the geometry of the tracks, without their measured pixels.
+    ``positions_m`` (F, 3) are the planned camera positions, and ``points_m`` (T, 3) the landmark of each track number.
+    """
 
     name: ClassVar[str]
     version: ClassVar[int]

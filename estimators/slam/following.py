@@ -203,6 +203,12 @@ class DeadReckoning(Configured[DeadReckoningOptions]):
     version: ClassVar[int] = 1
     options_model = DeadReckoningOptions
 
+    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray:
+        """Add up the covariances of the predicted displacements; see `SequenceEstimator`."""
+        del positions_m, points_m
+        steps = [frame.motion_covariance_m2 for frame in sequence.frames]
+        return np.asarray(sequence.position_covariance_m2 + np.sum(steps, axis=0))
+
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Add up the predicted displacements."""
         position, covariance = sequence.position_m, sequence.position_covariance_m2

@@ -95,7 +95,7 @@ def test_the_closed_form_of_an_arc_is_the_fit_s():
     camera, ball = Camera(400, 400, 2000.0, 2000.0, 200.0, 200.0), icosphere(5, 100.0)
     pose = look_at(np.array([0.0, -2000.0, 0.0]))
     sun, none = np.array([1.0, 0.0, 0.0]), np.zeros((400, 400), np.float32)
-    scene = limb._Scene(None, Frame(none, sun, pose, np.eye(6)), camera, ray_directions(240))
+    scene = limb._Plan(Frame(none, sun, pose, np.eye(6)), camera, ray_directions(240))
     points = limb.LimbEstimator(ball, limb.LimbOptions())._limb_at(scene, pose, np.array([200.0, 200.0]))
     found = 0.1**2 * np.linalg.inv(points.by_position.T @ points.by_position)
     half = np.arccos(points.normals[:, 0].min())

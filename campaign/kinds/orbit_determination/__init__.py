@@ -6,9 +6,10 @@ landmarks' longitudes are one unknown by two names, and inertial positions do no
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Self
+from functools import lru_cache, partial
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from boresight.campaign.trial.checks import (
     check_status,
     check_type,
 )
-from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.score import nees
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate, OrbitEstimator
@@ -89,6 +90,19 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
     def draw(self, trial: int) -> OrbitDraw:
         """Draw an orbit and its data; chance may lead it into the body."""
         return OrbitDraw(trial, *draw_orbit(self.world, self.seed, trial))
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Draw the data of a trial; none if chance leads the orbit into the body."""
+        try:
+            data = self.draw(trial).data
+        except OrbitLostError:
+            return {}
+
+        def predict(method: Any) -> Mapping[str, float] | None:
+            covariance = method.predict(data)
+            return None if covariance is None else {"position_m": float(np.sqrt(np.trace(covariance[:3, :3])))}
+
+        return {label: partial(predict, one) for label, one in self.methods.items() if hasattr(one, "predict")}
 
     def row(self, drawn: OrbitDraw) -> Record:
         return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.truth.states[0, :3]))}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, Trials, WorkerContext, check_only_method
+from boresight.campaign.trial.kind import Prediction, Record, Records, Trials, WorkerContext, check_only_method
 from boresight.campaign.trial.runner import located
-from boresight.campaign.trial.score import pose_errors, view_columns
+from boresight.campaign.trial.score import pose_errors, predicted_errors, view_columns
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import inverse_2x2
-from boresight.estimators.landmark.pose.problem import MarquardtOptions
+from boresight.estimators.landmark.pose.problem import MarquardtOptions, pose_covariance
 from boresight.estimators.landmark.pose.stack import (
     NAME,
     VERSION,
@@ -35,6 +35,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.campaign import EstimatorSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _MINIMUM = MarquardtOptions(parameters="minimal", tolerance=1e-12)
@@ -197,6 +198,25 @@ class PoseConvergence(Trials):
                 records["rows"].append({**key, **circumstances, **row})
                 records["diagnostics"] += [{**key, "name": name, "value": value} for name, value in numbers.items()]
         return records
+
+    @classmethod
+    def predicts(cls, entry: EstimatorSpec) -> bool:
+        """Whether a solver minimises: the covariance of the closed form is not that of a least-squares fit."""
+        return entry.options.get("method") != "closed-form"
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Draw a view with its landmarks; none if they are too few."""
+        draw = draw_landmarks(self.spec, self.landmarks, self.seed, trial)
+        if len(draw.chosen) < LANDMARKS:
+            return {}
+        truth, camera = draw.view.T_cam_body, self.spec.camera.camera()
+
+        def predict() -> Mapping[str, float] | None:
+            planned = problem_stack([replace(draw, prior=truth)], self.landmarks, camera)
+            covariance = pose_covariance(planned.problem(0), truth)
+            return predicted_errors(covariance, truth) if np.isfinite(covariance).all() else None
+
+        return dict.fromkeys((label for label, one in self.methods.items() if one.method != "closed-form"), predict)
 
     def _scored(self, draws: Sequence[LandmarkDraw]) -> dict[str, list[tuple[Record, dict[str, float]]]]:
         """Solve and score: for each label, one row and its diagnostics for each draw.

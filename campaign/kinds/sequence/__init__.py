@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from boresight.campaign.imaging.world import check_outside
 from boresight.campaign.kinds.sequence.images import OrbitImages, Seen, Watch
 from boresight.campaign.kinds.sequence.score import check_sequence, parameter_errors, score_epochs, summary
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
@@ -115,6 +117,25 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     def given(self, drawn: Seen | Watch, label: str) -> Seen | Watch:
         """Return the tracks; where an estimator guides the vision layer, a vision layer of its own."""
         return drawn if isinstance(drawn, Seen) else drawn.anew()
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Draw the geometry of a trial's simulated tracks; none for tracks of images or of a file.
+
+        None either if chance leads the orbit into the body.
+        """
+        if self.images is not None or self.table is not None:
+            return {}
+        try:
+            truth, sequence = self._drawn(trial)
+        except OrbitLostError:
+            return {}
+        positions_m = np.array([pose.camera_position_m for pose in truth.poses])
+
+        def predict(method: Any) -> Mapping[str, float] | None:
+            covariance = method.predict(sequence, positions_m, truth.points_m)
+            return None if covariance is None else {"position_m": float(np.sqrt(np.trace(covariance)))}
+
+        return {label: partial(predict, one) for label, one in self.methods.items() if hasattr(one, "predict")}
 
     def row(self, drawn: Seen | Watch) -> Record:
         return {"range_m": float(np.linalg.norm(drawn.path.poses[-1].translation_m))}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Self
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.observe import plan
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
@@ -31,10 +33,10 @@ from boresight.campaign.trial.checks import (
     check_type,
 )
 from boresight.campaign.trial.images import ImageDraw, draw_image
-from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import TrialRunner, Unbuilt, check_options, try_build, unbuilt_products
-from boresight.campaign.trial.score import consistency, pose_columns, pose_error
-from boresight.estimators.contract import Estimate, Estimator, Stage, Table
+from boresight.campaign.trial.score import consistency, pose_columns, pose_error, predicted_errors
+from boresight.estimators.contract import Estimate, Estimator, Predictor, Stage, Table
 from boresight.estimators.options import model_of
 from boresight.estimators.registry import estimator_class
 from boresight.scenarios.draw import estimator_generator
@@ -208,6 +210,20 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     def draw(self, trial: int) -> ImageDraw:
         """Render or read an image, and degrade what is known of it."""
         return draw_image(self.world, self.seed, trial, self.folder)
+
+    @classmethod
+    def predicts(cls, entry: EstimatorSpec) -> bool:
+        return hasattr(estimator_class(entry.name), "predict")
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Plan the observation of a trial, without an image."""
+        planned = plan(self.world, self.seed, trial)
+
+        def predict(method: Predictor) -> Mapping[str, float] | None:
+            covariance = method.predict(planned)
+            return None if covariance is None else predicted_errors(covariance, planned.frame.prior_T_cam_body)
+
+        return {label: partial(predict, one) for label, one in self.methods.items() if isinstance(one, Predictor)}
 
     def row(self, drawn: ImageDraw) -> Record:
         trial_image, true = drawn.trial_image, drawn.trial_image.view.T_cam_body

@@ -1,0 +1,80 @@
+"""``predict``: print the covariance that a campaign will give, without images."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+from rich.table import Table
+
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.predict import PredictedError, predict_errors, summarise, with_predictors
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import find_run
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.schema.grid import NO_VALUE
+from boresight.scenarios.errors import BoresightError, display
+
+_TRIALS = 20
+_NAMES = {
+    "position_m": "position, m",
+    "attitude_deg": "attitude, deg",
+    "sight_urad": "line of sight, urad",
+    "range_m": "range, m",
+}
+
+
+def predict_command(arguments: argparse.Namespace) -> int:
+    """Predict the errors of a campaign's estimators, and print them next to those of a run."""
+    out, variant = console(), choose_variant(None).name
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant, embedded=arguments.embedded)
+    chosen, others = with_predictors(campaign, [] if arguments.estimator is None else [arguments.estimator])
+    rows = None if arguments.run is None else _rows(arguments.run, campaign.digest)
+    stored = None if rows is None else int(rows["trial"].max()) + 1
+    trials = arguments.trials or stored or _TRIALS
+    check_campaign(chosen, trials)
+    with tempfile.TemporaryDirectory(prefix="boresight-predict-") as folder:
+        predicted = predict_errors(chosen, trials, Path(folder), out.print)
+    out.print(_table(list(summarise(predicted, rows)), rows is not None))
+    out.print(f"linear, at the views of {trials} trials, seed {campaign.seed}; no image was made")
+    if others:
+        out.print(f"no predictor: {', '.join(others)}")
+    return 0
+
+
+def _rows(run: str, digest: str) -> pd.DataFrame:
+    """Read the rows of a run; refuse one of another campaign, seed or scenario."""
+    folder = find_run(run)
+    manifest = folder.read_manifest()
+    if manifest is None or manifest["digest"] != digest:
+        raise BoresightError(
+            f"--run {display(folder.path)}: is not a run of this campaign with these scenarios, options and seed: give"
+            " its own --set and --seed"
+        )
+    rows = folder.table("rows")
+    if not len(rows):
+        raise BoresightError(f"--run {display(folder.path)}: no trial is stored there")
+    return rows
+
+
+def _table(found: list[PredictedError], compared: bool) -> Table:
+    heads = ["scenario", "estimator", "error", "predicted", "n", "CPU ms"]
+    heads += ["RMS error", "stated", "n ok", "RMS / predicted"] if compared else []
+    table = Table(*heads, box=None, pad_edge=False)
+    for one in found:
+        cells = [one.scenario, one.estimator, _NAMES[one.measure], _number(one.predicted if one.n else None)]
+        cells += [f"{one.n} / {one.trials}", f"{1e3 * one.seconds:.2f}"]
+        if compared:
+            low, high = one.interval
+            between = "" if low is None else f" [{low:.3g}, {high:.3g}]"
+            ratio = NO_VALUE if one.ratio is None else f"{one.ratio:.3g}{between}"
+            cells += [_number(one.error), _number(one.stated), str(one.n_ok), ratio]
+        table.add_row(*cells)
+    return table
+
+
+def _number(value: float | None) -> str:
+    return NO_VALUE if value is None else f"{value:.4g}"

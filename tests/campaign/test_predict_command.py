@@ -1,0 +1,71 @@
+"""`boresight predict`: a table without images, beside the errors of a run, and what is refused."""
+
+import numpy as np
+import pytest
+from tiny_campaign import SCENE, write_campaign
+from tiny_sequences import write_sequences
+
+from boresight.campaign.cli import main
+from boresight.campaign.runs.predict import predict_errors, summarise, with_predictors
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.renderers.mitsuba3 import choose_variant
+
+LIMB = "scenarios: [scene]\nestimators: [limb, prior]\ntrials: 6\nseed: 5\n"
+
+
+@pytest.fixture
+def orbits(tmp_path):
+    file = write_sequences(tmp_path, 12)
+    file.write_text(file.read_text().replace("[dead-reckoning]", "[dead-reckoning, fixed-lag, ekf-slam]"))
+    return file
+
+
+def test_predictions_and_a_run_are_pairs(orbits, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["run", str(orbits), "--out", str(out), "--jobs", "1", "--no-report"]) == 0
+    capsys.readouterr()
+    assert main(["predict", str(orbits), "--run", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "12 / 12" in printed and "RMS / predicted" in printed
+    assert "no predictor: ekf-slam" in printed
+    campaign, others = with_predictors(resolve(str(orbits), variant=choose_variant().name))
+    assert others == ["ekf-slam"]
+    predicted = predict_errors(campaign, 12, tmp_path / "products", print)
+    found = {one.estimator: one for one in summarise(predicted, RunFolder(out).table("rows"))}
+    rows = RunFolder(out).table("rows")
+    own = rows[rows["estimator"] == "dead-reckoning"]["position_error_m"]
+    one = found["dead-reckoning"]
+    assert one.n_ok == 12 and one.error == pytest.approx(np.sqrt(np.mean(own**2)))
+    assert one.ratio == pytest.approx(one.error / one.predicted)
+    low, high = one.interval
+    assert low < one.ratio < high and 0.5 < one.ratio < 2.0
+    # Dead reckoning adds up moves with 50 % error: sigma is half of each of six moves of 6 deg, on three axes.
+    assert one.predicted == pytest.approx(0.5 * 2.0 * 790.0 * np.sin(np.radians(3.0)) * np.sqrt(6.0), rel=0.01)
+    assert found["fixed-lag"].predicted < 0.5 * one.predicted
+
+
+def test_the_limb_is_predicted_without_an_image(cache, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("boresight.campaign.imaging.image_store.Imager.image", None)
+    file = write_campaign(tmp_path, LIMB, SCENE)
+    assert main(["predict", str(file), "--trials", "3"]) == 0
+    printed = capsys.readouterr().out
+    assert "range, m" in printed and "3 / 3" in printed and "no predictor: prior" in printed
+
+
+def test_an_estimator_without_a_predictor_alone_is_refused(orbits, capsys):
+    assert main(["predict", str(orbits), "--estimator", "ekf-slam"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no covariance can be predicted for ekf-slam" in line
+    assert main(["predict", str(orbits), "--estimator", "ekf"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "there are: dead-reckoning, fixed-lag, ekf-slam" in line
+
+
+def test_a_run_of_another_campaign_is_refused(orbits, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["run", str(orbits), "--out", str(out), "--jobs", "1", "--no-report", "--trials", "1"]) == 0
+    capsys.readouterr()
+    assert main(["predict", str(orbits), "--run", str(out), "--seed", "6"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is not a run of this campaign" in line
