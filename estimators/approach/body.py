@@ -66,8 +66,7 @@ class LitBody:
     @property
     def extent_px(self) -> float:
         """Longer side of the box of the lit pixels, px."""
-        rows, columns = np.nonzero(self.lit)
-        return float(max(np.ptp(rows), np.ptp(columns)) + 1)
+        return float(max(np.ptp(np.flatnonzero(self.lit.any(axis=axis))) for axis in (0, 1)) + 1)
 
     def brighter(self, share: float) -> LitBody:
         """Return the body by its pixels above a share of its bright level: dust around a comet is darker."""
@@ -89,15 +88,15 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
         return fault
     image = frame.image
     level, noise = _sky(image)
-    bright = image[image > np.float32(level + _SIGMAS * noise)]
-    full = float(np.percentile(bright, 99.0)) - level if bright.size else 0.0
-    floor = max(_SIGMAS * noise, _SHARE * full)
-    lit = image > np.float32(level + floor)
+    lit = image > np.float32(level + _SIGMAS * noise)
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     if not len(rows):
         return "the image is black: nothing above its background"
     top, left = int(rows[0]), int(columns[0])
-    lit = lit[top : rows[-1] + 1, left : columns[-1] + 1]
+    box = slice(top, int(rows[-1]) + 1), slice(left, int(columns[-1]) + 1)
+    full = float(np.percentile(image[box][lit[box]], 99.0)) - level
+    floor = max(_SIGMAS * noise, _SHARE * full)
+    lit = image[box] > np.float32(level + floor)
     _, labels, stats, middles = cv2.connectedComponentsWithStats(lit.astype(np.uint8), connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA]
     areas[0] = 0  # the sky

@@ -26,7 +26,7 @@ from boresight.scenarios.spec.base import SpecModel
 _SPACING_PX = 1.5
 _LEAST_RAYS, _MOST_RAYS = 48, 256
 _BORDER_PX = 5.0
-_SCAN_STEP_PX = 0.5
+_SCAN_STEP_PX, _MOST_SAMPLES = 0.5, 256
 _COARSE_STEPS, _FINE_STEPS = 3, 3
 _HUBER = 1.5
 _ARCS = 12
@@ -70,11 +70,12 @@ class LimbPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
-    """A frame, the camera, and the unit directions (count, 2) of the rays in the image."""
+    """A frame, the camera, the unit directions (count, 2) of the rays in the image, and the edges of the outline."""
 
     frame: Frame
     camera: Camera
     rays: FloatArray
+    edges: IndexArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +144,7 @@ class LimbEstimator:
                 return Estimate("failed", body, timings_s=clock.seconds)
             body = body.brighter(_LIMB_SHARE)
             count = _ray_count(float(size_px))
-            scene = _Scene(frame, camera, ray_directions(count), body)
+            scene = _Scene(frame, camera, ray_directions(count), self._outline.silhouette(prior), body)
             begun = self._scan(scene, self._place(scene))
             fit = None if begun is None else self._refine(scene, begun)
             stages = () if begun is None else (Stage("horizon", begun),)
@@ -173,7 +174,7 @@ class LimbEstimator:
         frame, camera = planned.frame, planned.camera
         pose = frame.prior_T_cam_body
         count = _ray_count(2.0 * self._radius_m / float(np.linalg.norm(pose.translation_m)) / camera.pixel_angle_rad)
-        plan = _Plan(frame, camera, ray_directions(count))
+        plan = _Plan(frame, camera, ray_directions(count), self._outline.silhouette(pose))
         points = self._limb_at(plan, pose, camera.project(pose.translation_m))
         if points is None or len(points.ray) < self._options.points_min:
             return None
@@ -194,7 +195,7 @@ class LimbEstimator:
     def _limb_at(self, scene: _Plan, pose: Pose, centre_px: FloatArray) -> LimbPoints | None:
         """Points of the lit limb at a pose, on the rays from a centre; None without any."""
         frame, camera = scene.frame, scene.camera
-        radius_px, points_m = self._outline.at(pose, camera, centre_px, scene.rays)
+        radius_px, points_m = self._outline.at(pose, camera, centre_px, scene.rays, scene.edges)
         if not np.isfinite(radius_px).any():
             return None
         normals = outline_normals(radius_px, scene.rays)
@@ -224,18 +225,19 @@ class LimbEstimator:
         """
         body, camera, prior = scene.body, scene.camera, scene.frame.prior_T_cam_body
         centre_px = camera.project(prior.translation_m)
-        radius_px, _ = self._outline.at(prior, camera, centre_px, scene.rays)
+        radius_px, _ = self._outline.at(prior, camera, centre_px, scene.rays, scene.edges)
         if body.cut or not np.isfinite(radius_px).any():
             return prior
         outline = centre_px + radius_px[:, None] * scene.rays
-        rows, columns = np.nonzero(body.lit)
-        lit = np.column_stack([columns + body.patch.column, rows + body.patch.row]) + 0.5
+        rows = np.flatnonzero(body.lit.any(axis=1))  # the extremes are among the first and last pixels of rows
+        ends = body.lit[rows].argmax(axis=1), body.lit.shape[1] - 1 - body.lit[rows, ::-1].argmax(axis=1)
+        lit = np.column_stack([np.concatenate(ends) + body.patch.column, np.tile(rows, 2) + body.patch.row]) + 0.5
         along = camera.jacobian(prior.translation_m) @ scene.frame.sun_dir_cam
         sun = along / max(float(np.linalg.norm(along)), 1e-300)
         across = np.array([-sun[1], sun[0]])
         along_px = (lit @ sun).max() - np.nanmax(outline @ sun)
-        sides, ends = lit @ across, outline @ across
-        across_px = 0.5 * (sides.max() + sides.min() - np.nanmax(ends) - np.nanmin(ends))
+        sides, edges = lit @ across, outline @ across
+        across_px = 0.5 * (sides.max() + sides.min() - np.nanmax(edges) - np.nanmin(edges))
         ray = camera.unproject(centre_px + along_px * sun + across_px * across)
         return replace(prior, translation_m=ray * np.linalg.norm(prior.translation_m))
 
@@ -247,9 +249,11 @@ class LimbEstimator:
         if limb is None:
             return None
         reach_px = 1.5 * float(np.linalg.norm(limb.uv_px - centre_px, axis=1).max()) + 10.0
-        radius_px = np.arange(0.0, reach_px, _SCAN_STEP_PX)
-        samples = sampled(scene.body.patch, centre_px + scene.rays[:, None] * radius_px[:, None])
-        seen = centre_px + _SCAN_STEP_PX * _outermost_rise(samples, scene.body.floor)[:, None] * scene.rays
+        step_px = max(_SCAN_STEP_PX, reach_px / _MOST_SAMPLES)
+        radius_px, rays = np.arange(0.0, reach_px, step_px), scene.rays[limb.ray]
+        samples = sampled(scene.body.patch, centre_px + rays[:, None] * radius_px[:, None])
+        seen = np.full(scene.rays.shape, np.nan)
+        seen[limb.ray] = centre_px + step_px * _outermost_rise(samples, scene.body.floor)[:, None] * rays
         sound = np.isfinite(seen).all(axis=1) & camera.contains(seen, _BORDER_PX)
         limb = limb[sound[limb.ray]]
         if len(limb.ray) < self._options.points_min:
@@ -272,6 +276,7 @@ class LimbEstimator:
 
     def _refine(self, scene: _Scene, pose: Pose) -> tuple[Pose, LimbPoints, FloatArray, FloatArray] | None:
         """Fit the outline to profiles of brightness: pose, points, their distances at it, px, and weights, px^-2."""
+        scene = replace(scene, edges=self._outline.silhouette(pose))
         for _ in range(_FINE_STEPS):
             centre_px = scene.camera.project(pose.translation_m)
             limb = self._limb_at(scene, pose, centre_px)

@@ -29,17 +29,20 @@ class ShapeOutline:
         self._vertices_m, self._corner = np.array(mesh.vertices_m), faces[:, 0].copy()
         self._area_vectors_m2 = np.array(mesh.area_vectors_m2)
 
+    def silhouette(self, T_cam_body: Pose) -> IndexArray:
+        """Return the vertices (k, 2) of the edges between a facet that is seen from the front and another."""
+        camera_m = T_cam_body.camera_position_m
+        return silhouette(self._vertices_m, self._corner, self._area_vectors_m2, self._edges, camera_m)
+
     def at(
-        self, T_cam_body: Pose, camera: Camera, centre_px: FloatArray, rays: FloatArray
+        self, T_cam_body: Pose, camera: Camera, centre_px: FloatArray, rays: FloatArray, edges: IndexArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the outermost points on the rays of `ray_directions` from ``centre_px`` in the image.
 
         Radii (count,), px, and the points (count, 3), m, camera axes; NaN on rays that meet no outline in front of the
-        camera.
+        camera. ``edges`` are those of `silhouette` at a pose nearby: small translations do not change them.
         """
-        edges = silhouette(
-            self._vertices_m, self._corner, self._area_vectors_m2, self._edges, T_cam_body.camera_position_m
-        )
+        edges = self.silhouette(T_cam_body) if edges is None else edges
         pinhole = np.array([camera.fx_px, camera.fy_px, *(np.array([camera.cx_px, camera.cy_px]) - centre_px)])
         pose = np.column_stack([T_cam_body.rotation, T_cam_body.translation_m])
         return outermost(self._vertices_m, edges, pose, pinhole, rays)
@@ -49,7 +52,7 @@ class ShapeOutline:
 def silhouette(
     vertices_m: FloatArray, corner: IndexArray, area_vectors_m2: FloatArray, edges: IndexArray, camera_m: FloatArray
 ) -> IndexArray:
-    """Return the vertices (k, 2) of the edges (E, 4) between a facet that is seen from the front and another."""
+    """Return the edges (k, 2) of `ShapeOutline.silhouette`."""
     facing = np.empty(len(corner), dtype=np.bool_)
     for facet in range(len(corner)):
         v, n = vertices_m[corner[facet]], area_vectors_m2[facet]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
 from boresight.estimators.approach.body import Patch
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.compiled import compiler
+
+kernel, inner = compiler(Path(__file__).parent)
 
 _REACH_PX, _STEP_PX, _FINE_PX = 4.0, 0.5, 0.125
 _PIXEL_SIGMA = 1.0 / np.sqrt(12.0)
@@ -50,26 +55,46 @@ def fit_limb(
     spread = np.exp(-0.5 * (fine[:, None] - fine) ** 2 / (blur_px**2 + _PIXEL_SIGMA**2))
     spread /= spread.sum(axis=1, keepdims=True)
     terms = (lit * cosine) @ spread, (lit * sine) @ spread
-    n, place = len(samples), np.nan_to_num(start_px)
-    bright = np.maximum(samples.max(axis=1, keepdims=True), 1e-300)
-    gain = np.zeros((n, 2))
-    for _ in range(_FITS):
-        index = (ACROSS_PX - place[:, None] - fine[0]) / _FINE_PX
-        low = np.clip(index.astype(int), 0, len(fine) - 2)
-        share, row = np.clip(index - low, 0.0, 1.0), np.arange(n)[:, None]
-        columns, slopes = [], []
-        for term in terms:
-            here, there = term[row, low], term[row, low + 1]
-            columns.append(here + share * (there - here))
-            slopes.append((here - there) / _FINE_PX)  # by the place
-        design = np.stack([*columns, gain[:, :1] * slopes[0] + gain[:, 1:] * slopes[1]], axis=-1)
-        normal = np.einsum("nmi,nmj->nij", design, design)
-        normal += _DAMPING * (1.0 + np.trace(normal, axis1=1, axis2=2)[:, None, None]) * np.eye(3)
-        error = samples / bright - gain[:, :1] * columns[0] - gain[:, 1:] * columns[1]
-        step = np.linalg.solve(normal, np.einsum("nmi,nm->ni", design, error)[..., None])[..., 0]
-        gain = np.clip(gain + step[:, :2], -_MOST_GAIN, _MOST_GAIN)
-        place = np.clip(place + np.clip(step[:, 2], -1.0, 1.0), -_REACH_PX, _REACH_PX)
+    bright = np.maximum(samples.max(axis=1), 1e-300)
+    place, gain = _fit(samples / bright[:, None], *terms, np.nan_to_num(start_px), float(fine[0]))
     # At a depth of one pixel.
     cosine_1 = 1.0 - min(1.0 / radius_px, 1.0)
-    level = gain @ [cosine_1, np.sqrt(1.0 - cosine_1**2)]
-    return place, level * bright[:, 0]
+    return place, gain @ [cosine_1, np.sqrt(1.0 - cosine_1**2)] * bright
+
+
+@kernel
+def _fit(
+    samples: FloatArray, first: FloatArray, second: FloatArray, start: FloatArray, outermost: float
+) -> tuple[FloatArray, FloatArray]:
+    """Fit places (n,) and gains (n, 2) of two terms (n, k) to profiles (n, m) by damped Gauss-Newton steps.
+
+    The terms are at steps of _FINE_PX from ``outermost`` along the outward normal, px from the limb.
+    """
+    place, gain = start.copy(), np.zeros((len(samples), 2))
+    for row in range(len(samples)):
+        for _ in range(_FITS):
+            system, a, b = np.zeros((3, 4)), gain[row, 0], gain[row, 1]  # the normal equations
+            for sample in range(samples.shape[1]):
+                index = (sample * _STEP_PX - _REACH_PX - place[row] - outermost) / _FINE_PX
+                low = min(max(int(index), 0), first.shape[1] - 2)
+                share = min(max(index - low, 0.0), 1.0)
+                p, q = first[row, low], second[row, low]
+                dp, dq = first[row, low + 1] - p, second[row, low + 1] - q
+                p, q = p + share * dp, q + share * dq
+                column = (p, q, -(a * dp + b * dq) / _FINE_PX, samples[row, sample] - a * p - b * q)
+                for i in range(3):
+                    for j in range(i, 4):
+                        system[i, j] += column[i] * column[j]
+            damping = _DAMPING * (1.0 + system[0, 0] + system[1, 1] + system[2, 2])
+            for i in range(3):
+                system[i, i] += damping
+            for i in range(2):
+                for j in range(i + 1, 3):
+                    system[j, j:] -= system[i, j] / system[i, i] * system[i, j:]
+            moved = system[2, 3] / system[2, 2]
+            second_gain = (system[1, 3] - system[1, 2] * moved) / system[1, 1]
+            first_gain = (system[0, 3] - system[0, 2] * moved - system[0, 1] * second_gain) / system[0, 0]
+            gain[row, 0] = min(max(a + first_gain, -_MOST_GAIN), _MOST_GAIN)
+            gain[row, 1] = min(max(b + second_gain, -_MOST_GAIN), _MOST_GAIN)
+            place[row] = min(max(place[row] + min(max(moved, -1.0), 1.0), -_REACH_PX), _REACH_PX)
+    return place, gain
