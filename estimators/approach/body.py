@@ -19,7 +19,7 @@ _MARGIN_PX = 5
 _STAR_PX = 7  # side of a group that may be a star
 _SKY_ROWS = 128
 # Sides of a rendered body, px: below it is rendered enlarged, and pixels are means of what is rendered.
-_RENDERED_PX, _MOST_ENLARGED = 96, 32
+RENDERED_PX, _MOST_ENLARGED = 96, 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +206,7 @@ class BodyView:
         half = int(np.ceil(0.5 * diameter_px * float(np.linalg.norm(T_cam_body.translation_m))
                            / float(T_cam_body.translation_m[2]))) + _MARGIN_PX  # fmt: skip
         column, row = (int(value) - half for value in np.floor(middle_px))
-        enlarged = int(np.clip(np.ceil(_RENDERED_PX / diameter_px), 1, _MOST_ENLARGED))
+        enlarged = int(np.clip(np.ceil(RENDERED_PX / diameter_px), 1, _MOST_ENLARGED))
         camera = self.camera
         window = Camera(
             2 * half * enlarged,

@@ -9,16 +9,15 @@ from boresight.estimators.approach.body import Patch
 from boresight.scenarios.arrays import FloatArray
 
 _EDGE_PX = 4
-_GRID = np.stack([(x := np.tile([-1.0, 0.0, 1.0], 3)), (y := np.repeat([-1.0, 0.0, 1.0], 3)), x * x, x * y, y * y], 1)
-_FIT = np.linalg.pinv(np.column_stack([np.ones(9), _GRID]))
 
 
 def correlation_shift(observed: Patch, rendered: Patch) -> FloatArray:
     """Shift (2,), px, of a rendering onto an image by the peak of their normalised cross-correlation.
 
     The template is the lit part of the rendering with an edge of sky. All shifts at which it covers half of the light
-    of the observed body are tried. A quadratic function of column and row through the peak and its eight neighbours, by
-    least squares, has its vertex at the shift, as in GIANT.
+    of the observed body are tried. A least-squares step from the greatest one adds the fraction of a pixel, see
+    `correlation_weights`: the vertex of a parabola through the peak's neighbours is drawn to whole pixels where the
+    body has few.
     """
     template = _lit_part(rendered)
     height, width = template.image.shape
@@ -35,16 +34,11 @@ def correlation_shift(observed: Patch, rendered: Patch) -> FloatArray:
     coefficient[light < 0.5 * light.max()] = -1.0
     row, column = (int(i) for i in np.unravel_index(int(coefficient.argmax()), coefficient.shape))
     du, dv = float(field.column + column - template.column), float(field.row + row - template.row)
-    around = coefficient[row - 1 : row + 2, column - 1 : column + 2]
-    if around.shape != (3, 3) or row == 0 or column == 0:
-        return np.array([du, dv])
-    _, b, c, d, e, f = _FIT @ around.ravel().astype(np.float64)
-    # The gradient b + 2 d x + e y, c + e x + 2 f y vanishes at the vertex, a peak where the Hessian is negative.
-    determinant = 4.0 * d * f - e * e
-    if d < 0.0 < determinant:
-        du += float(np.clip((e * c - 2.0 * f * b) / determinant, -1.0, 1.0))
-        dv += float(np.clip((e * b - 2.0 * d * c) / determinant, -1.0, 1.0))
-    return np.array([du, dv])
+    seen, model = pixels[row : row + height, column : column + width], template.image
+    both = np.column_stack([model.ravel(), np.ones(model.size)])
+    gain = float(np.linalg.lstsq(both, seen.ravel(), rcond=None)[0][0])
+    step = correlation_weights(seen, gain * model).reshape(2, -1) @ seen.ravel()
+    return np.array([du, dv]) + np.clip(step, -1.0, 1.0)
 
 
 def correlation_weights(observed: FloatArray, rendered: FloatArray) -> FloatArray:

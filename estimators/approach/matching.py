@@ -38,7 +38,7 @@ class SilhouetteEstimator:
 
     Source
     ------
-    The cross-correlation of NASA's GIANT, `giant.relative_opnav`, with its quadratic peak; the covariance is ours.
+    The cross-correlation of NASA's GIANT, `giant.relative_opnav`; the fraction of a pixel and the covariance are ours.
     """
 
     name: ClassVar[str] = "silhouette"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from boresight.estimators.approach.body import BodyView, LitBody, Patch, find_body, near
+from boresight.estimators.approach.body import RENDERED_PX, BodyView, LitBody, Patch, find_body, near
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.contract import Estimate, Stage, Stopwatch
 from boresight.estimators.dense.gauss_newton import reduced_camera
@@ -18,8 +18,9 @@ from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
-_CELLS = 4
+_CELLS, _ARCS = 4, 6
 _DERIVATIVE_PX = 100.0
+_LEAST_STEP = 0.03  # of a turn, rad, and of the range, for a derivative: aliasing of renderings is small next to it
 
 
 class SightOptions(SpecModel):
@@ -41,8 +42,8 @@ Weights = Callable[[FloatArray, FloatArray], FloatArray]
 class Sighting:
     """A way to measure the shift of a rendering: its name, which is the stage's, the shift and its derivatives.
 
-    ``misfit_m`` is the RMS distance of the rendered surface from the onboard shape. If the outline has such errors,
-    independent in each of the six arcs of the lit half, a shift by its points has the variance 2 / 6 times as large.
+    ``misfit_m`` is the RMS distance of the rendered surface from the onboard shape. Of an ellipsoid it has no waves
+    below the third degree. So the outline is moved along its radii by that distance, independently in six arcs.
     """
 
     name: str
@@ -92,14 +93,16 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
         if not (body.patch.cut(rendered) * rendered.image).sum() > 0.0:
             failure = f"the rendering does not meet the body in max_iterations {loop.max_iterations}"
             return Estimate("failed", failure, diagnostics=told, timings_s=clock.seconds)
-        covariance_px2, correlation = _shift_covariance(body, rendered, how.weights)
-        scale_px = 1.0 / (float(np.linalg.norm(last.translation_m)) * camera.pixel_angle_rad)
-        covariance_px2 += (how.misfit_m * scale_px) ** 2 / 3.0 * np.eye(2)
-        covariance_px2 += _calibration(observation, pose)
+        misfit_px = how.misfit_m / (float(np.linalg.norm(last.translation_m)) * camera.pixel_angle_rad)
+        origin_px = camera.project(last.translation_m)
+        covariance_px2, correlation = _shift_covariance(body, rendered, how.weights, origin_px, misfit_px)
         told |= {f"{how.name}_iterations": count, "correlation": correlation}
-        told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
     with clock("mesh_rendering"):
+        if view.diameter_px(last) < RENDERED_PX:
+            covariance_px2 += _sampling(view, last, rendered, body, how)
         by_pose = _by_pose(view, last, body, how, frame.prior_covariance)
+    covariance_px2 += _calibration(observation, pose)
+    told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
     measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
     fused = fuse(observation, measured, by_pose, covariance_px2)
     return replace(fused, stages=(Stage(how.name, fused.pose or prior),), diagnostics=told, timings_s=clock.seconds)
@@ -132,18 +135,49 @@ def _bright_part(rendered: Patch | None, body: LitBody, reduction: int = 1) -> P
     return replace(rendered, image=image) if image.any() else None
 
 
-def _shift_covariance(body: LitBody, rendered: Patch, weights: Weights) -> tuple[FloatArray, float]:
-    """Return the covariance (2, 2) of the shift, px^2, and the correlation coefficient of image and rendering."""
+def _shift_covariance(
+    body: LitBody, rendered: Patch, weights: Weights, origin_px: FloatArray, misfit_px: float
+) -> tuple[FloatArray, float]:
+    """Return the covariance (2, 2) of the shift, px^2, and the correlation coefficient of image and rendering.
+
+    The part of the difference that the range's error makes, which scales the body about its origin, is fitted and left
+    out: what it does to the shift is in the derivatives by the pose.
+    """
     observed, model = body.patch.cut(rendered), rendered.image
-    model = model * ((observed * model).sum() / (model**2).sum())
+    u, v = (centre - origin for centre, origin in zip(rendered.centres(), origin_px, strict=True))
+    scaled = u * np.gradient(model, axis=1) + v * np.gradient(model, axis=0)
+    terms = np.column_stack([model.ravel(), scaled.ravel()])
+    fitted = np.linalg.lstsq(terms, observed.ravel(), rcond=None)[0]
+    left = observed.ravel() - terms @ fitted
+    model = model * fitted[0]
     weight = weights(observed, model).reshape(2, -1)
     rows, columns = np.nonzero(model)
     extent = max(np.ptp(rows), np.ptp(columns)) + 1
     row, column = (np.arange(side) * _CELLS // extent for side in model.shape)
     cell = (row[:, None] * model.size + column).ravel()
-    covariance = grouped_covariance((weight * (observed - model).ravel()).T, cell, 3)
+    covariance = grouped_covariance((weight * left).T, cell, 4)
     covariance += body.noise**2 * weight @ weight.T
+    if misfit_px > 0.0:
+        radial = fitted[0] * scaled / np.maximum(np.hypot(u, v), 1.0)
+        arc = np.floor(np.arctan2(v, u) * (_ARCS / (2.0 * np.pi))).ravel()
+        covariance += misfit_px**2 * grouped_covariance((weight * radial.ravel()).T, arc, 0)
     return covariance, float(np.corrcoef(observed.ravel(), model.ravel())[0, 1])
+
+
+def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: Sighting) -> FloatArray:
+    """Covariance (2, 2), px^2, of a shift's error by the places in their pixels that a small body falls on.
+
+    A crescent that is thinner than a pixel looks the same wherever it is in the pixel, until it jumps to the next. If a
+    place x is seen at x + A sin(2 pi x + b), renderings that are moved by a quarter of a pixel to either side are
+    measured with errors whose mean square is A^2 for any b: the variance for image and rendering at independent places.
+    """
+    found, point_px = np.zeros((2, 2)), view.camera.project(pose.translation_m)
+    for step_px in 0.25 * np.vstack([np.eye(2), -np.eye(2)]):
+        there = translation_update(pose, point_px + step_px, point_px, view.camera)
+        if (moved := _bright_part(view.render(there), body)) is not None:
+            error_px = how.shift(moved, rendered) - step_px
+            found += 0.5 * np.outer(error_px, error_px)
+    return found
 
 
 def _by_pose(view: BodyView, pose: Pose, body: LitBody, how: Sighting, covariance: FloatArray) -> FloatArray:
@@ -163,8 +197,10 @@ def _by_pose(view: BodyView, pose: Pose, body: LitBody, how: Sighting, covarianc
         sigma = float(np.sqrt(direction @ covariance @ direction))
         if not sigma > 0.0:
             continue
-        changed = pose.perturbed(sigma * direction[:3], sigma * direction[3:])
+        least = _LEAST_STEP * (np.linalg.norm(pose.translation_m) if direction is along else 1.0)
+        step = max(sigma, least)
+        changed = pose.perturbed(step * direction[:3], step * direction[3:])
         moved = _bright_part(small.render(changed), body, reduction)
         if rendered is not None and moved is not None:
-            found += np.outer(reduction * how.shift(moved, rendered) / sigma, direction)
+            found += np.outer(reduction * how.shift(moved, rendered) / step, direction)
     return found
