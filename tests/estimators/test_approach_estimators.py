@@ -9,8 +9,7 @@ import pytest
 
 from boresight.estimators.approach.body import BodyView, LitBody, find_body
 from boresight.estimators.approach.centroid import CENTROID
-from boresight.estimators.approach.correlation import correlation_shift, correlation_weights
-from boresight.estimators.approach.sight import Sighting, _by_pose
+from boresight.estimators.approach.sight import _by_pose
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -111,17 +110,15 @@ def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
     assert mean_nees([(truth, seen_by, estimate(name, seen_by)) for truth, seen_by in seen]) < 1.6
 
 
-@pytest.mark.parametrize("how", [CENTROID, Sighting("alignment", correlation_shift, correlation_weights)])
-def test_the_attitude_of_a_sphere_does_not_move_it(how):
-    """A crescent of 200 px, of which renderings with a sample a pixel have ragged edges."""
-    ball = icosphere(5, 100.0)
-    sun = np.array([np.sin(2.2), 0.0, -np.cos(2.2)])
+def test_the_attitude_of_a_sphere_does_not_move_its_centroid():
+    """A crescent of 200 px; a sample a pixel makes its edges ragged."""
+    ball, sun = icosphere(6, 100.0), np.array([np.sin(2.4), 0.0, -np.cos(2.4)])
     view = BodyView(Assets().mesh_renderer(ball), ball.radius_m, replace(CAMERA, width_px=400, height_px=400), sun, 0.5)
     pose = look_at(np.array([0.0, -1000.0, 0.0]))
     patch = view.render(pose)
     body = LitBody(patch, patch.image > 0.02, 0.01, 0.0, False)
-    derivative = _by_pose(view, pose, body, how, np.diag([np.radians(0.1)] * 3 + [1.0] * 3) ** 2)
-    assert np.abs(derivative[:, :3]).max() * np.radians(0.1) < 0.03
+    derivative = _by_pose(view, pose, body, CENTROID, np.diag([np.radians(0.1)] * 3 + [1.0] * 3) ** 2)
+    assert np.abs(derivative[:, :3]).max() * np.radians(0.1) < 0.01
 
 
 def test_the_limb_gives_the_range():
