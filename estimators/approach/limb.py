@@ -106,7 +106,7 @@ class LimbEstimator:
 
     Cost
     ----
-    0.13 s an image of ``quickstart``.
+    0.03 s an image of 1024 x 1024 pixels.
 
     Source
     ------

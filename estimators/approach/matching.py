@@ -80,8 +80,8 @@ class LambertCorrelation(SilhouetteEstimator):
     It fails when
     -------------
     The image shows no body, the frame cuts it, or the ellipsoid is out of view or in the dark. An irregular body pulls
-    the ellipsoid towards its lit part: over 300 px of Itokawa by 6 px at phase angles below 30 deg, and by 21 px from
-    110 to 140 deg (6 images each); the covariance is then too small, mean NEES 6.3 and 37, 6 expected.
+    the ellipsoid towards its lit part: five bodies of 300 px by 4 px (RMS of a coordinate) at phase angles below 30
+    deg, and by 13 px from 110 to 140 deg (20 images each). There the covariance is too small: mean NEES 14.
 
     Cost
     ----
