@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import Field
 
 from boresight.estimators.approach.body import BodyView, Patch
 from boresight.estimators.approach.sight import Sighting, SightOptions, centroid_px, estimate_sight
 from boresight.estimators.contract import Assets, Estimate, ImageRenderer
-from boresight.estimators.landmark.database import DatabaseOptions
-from boresight.estimators.landmark.recognizer import landmark_database
+from boresight.estimators.landmark.recognizer import ShapeOptions, rendered_mesh
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
 
-class CentroidOptions(SightOptions):
+class CentroidOptions(ShapeOptions, SightOptions):
     """Options of ``centroid``."""
-
-    shape: Literal["onboard", "landmark-mesh"] = Field(
-        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
-    )
-    database: DatabaseOptions = DatabaseOptions()
 
 
 class CentroidEstimator:
@@ -66,9 +59,7 @@ class CentroidEstimator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape or the landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
-        mesh = assets.shape()
-        if parsed.shape == "landmark-mesh":
-            mesh = landmark_database(parsed.database, assets, cls.name).mesh()
+        mesh = rendered_mesh(parsed, assets, cls.name)
         return cls(assets.mesh_renderer(mesh), mesh.radius_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:

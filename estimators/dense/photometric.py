@@ -25,13 +25,14 @@ from boresight.estimators.dense.gauss_newton import (
     register,
 )
 from boresight.estimators.landmark.alignment import Alignment, MeshView
-from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,
     PoseOptions,
     RecognitionOptions,
+    ShapeOptions,
     landmark_database,
+    rendered_mesh,
     shape_renderer,
 )
 from boresight.estimators.landmark.signal import observed_signal
@@ -41,13 +42,9 @@ from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
 
 
-class PhotometricOptions(RegistrationOptions):
+class PhotometricOptions(ShapeOptions, RegistrationOptions):
     """Options of ``photometric``."""
 
-    shape: Literal["onboard", "landmark-mesh"] = Field(
-        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
-    )
-    database: DatabaseOptions = DatabaseOptions()
     samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of a rendered pixel, on a regular grid")
 
 
@@ -90,10 +87,7 @@ class PhotometricEstimator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape."""
         parsed = parse_options(PhotometricOptions, options, cls.name)
-        if parsed.shape == "onboard":
-            mesh = assets.shape()
-        else:
-            mesh = landmark_database(parsed.database, assets, cls.name).mesh()
+        mesh = rendered_mesh(parsed, assets, cls.name)
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
         available_gradient(parsed.gradient, renderer)
@@ -176,8 +170,8 @@ class WholeImageRecognizer(LandmarkRecognizer):
     It fails when
     -------------
     As ``landmark-harris``; and the mesh goes out of view or into the dark during the registration. Of 500 images of
-    ``compare-mismatched`` it failed, or was worse than the prior, in 14.0 % with exact knowledge and in 54.8 % with
-    that of a mission.
+    ``compare-mismatched`` version 3 failed, or was worse than the prior, in 14.0 % with exact knowledge and in 54.8 %
+    with that of a mission.
 
     Cost
     ----

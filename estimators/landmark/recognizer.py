@@ -38,9 +38,9 @@ from boresight.estimators.landmark.projection import Projection, project_landmar
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
 from boresight.scenarios.observation import Frame, Observation
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, rule
 
 PRODUCT = "landmark-database"
 POINT_PAIRS = {"centroid": centroid_pair, "image": correlation_pair}
@@ -228,6 +228,31 @@ def translation_aligner(options: LandmarkOptions) -> MeshAligner:
 def landmark_database(options: DatabaseOptions, assets: Assets, estimator: str) -> LandmarkDatabase:
     """Return the landmark data base of some options for the estimator of that name."""
     return typed_product(assets, PRODUCT, options, LandmarkDatabase, estimator)
+
+
+class ShapeOptions(SpecModel):
+    """Options of an estimator that renders a shape."""
+
+    shape: Literal["onboard", "landmark-mesh"] = Field(
+        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
+    )
+    database: DatabaseOptions | None = Field(
+        None, description="The data base of ``landmark-mesh``; it has no other use"
+    )
+
+    @rule
+    def _database_has_a_use(self) -> None:
+        if self.shape == "landmark-mesh" and self.database is None:
+            raise ValueError("shape: landmark-mesh is the mesh of a data base: give database, {} for the default one")
+        if self.shape == "onboard" and self.database is not None:
+            raise ValueError("database has no use with shape: onboard: leave it out, or give shape: landmark-mesh")
+
+
+def rendered_mesh(options: ShapeOptions, assets: Assets, estimator: str) -> TriangleMesh:
+    """Return the mesh that the estimator of that name renders."""
+    if options.database is None:
+        return assets.shape()
+    return landmark_database(options.database, assets, estimator).mesh()
 
 
 def shape_renderer(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:

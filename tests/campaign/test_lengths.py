@@ -133,8 +133,6 @@ def test_campaigns_of_the_catalogue_say_all_lengths(name):
     kind = kind_named(read.loaded.spec.experiment)
     for entry in read.loaded.spec.estimators:
         said = set(dict(dotted(kind.lengths(entry, read.scenarios[0]))))
-        if entry.name == "centroid" and entry.options.get("shape") != "landmark-mesh":
-            said = {key for key in said if not key.startswith("database.")}  # of a data base that is not built
         assert said <= UNUSED, entry.label
 
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
 from boresight.estimators.approach.centroid import CentroidEstimator, CentroidOptions
+from boresight.estimators.dense.photometric import PhotometricOptions
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -86,3 +88,12 @@ def test_a_prior_behind_the_camera_is_a_failure_with_a_reason():
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(BoresightError, match="the image has shape"):
         estimate(observed(image=np.ones((100, 256), np.float32)))
+
+
+@pytest.mark.parametrize(
+    ("options", "what"), [({"database": {}}, "has no use"), ({"shape": "landmark-mesh"}, "give database")]
+)
+@pytest.mark.parametrize("model", [CentroidOptions, PhotometricOptions])
+def test_a_data_base_is_that_of_the_landmark_mesh(model, options, what):
+    with pytest.raises(ValidationError, match=what):
+        model(**options)
