@@ -80,9 +80,10 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
     and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
     divide a body. A group that does not fit with the larger ones into one circle is of another body; the circle is
-    ``diameter_px`` wide, or as wide as that of the largest group. Small groups beyond half of ``diameter_px`` are taken
-    for stars. Groups within five standard deviations of where the prior has the body come
-    first: stars may be larger than a small body. Raise BoresightError if the image does not have the camera's size.
+    ``diameter_px`` wide, and wider by two standard deviations of the range, or as wide as that of the largest group.
+    Small groups beyond half of ``diameter_px`` are taken for stars. Groups within five standard deviations of where the
+    prior has the body come first: stars may be larger than a small body. Raise BoresightError if the image does not
+    have the camera's size.
     """
     if fault := unusable(frame, camera):
         return fault
@@ -110,7 +111,7 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     star = (sides <= _STAR_PX) & (apart_px > 0.5 * diameter_px)
     kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
-    kept &= _of_one_body(labels, np.where(kept, areas, 0), diameter_px)
+    kept &= of_one_body(labels, stats[:, :4], np.where(kept, areas, 0), diameter_px * (1.0 + _range_error(frame)))
     first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
     whole = np.array([camera.width_px, camera.height_px])
     low, high = first.min(axis=0), (first + size).max(axis=0)
@@ -123,17 +124,20 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     return LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
 
 
-def _of_one_body(labels: IndexArray, areas: IndexArray, diameter_px: float) -> BoolArray:
+def of_one_body(labels: IndexArray, boxes: IndexArray, areas: IndexArray, diameter_px: float) -> BoolArray:
     """(G,) whether a group, of ``labels`` (H, W), is in one circle with the larger ones; an area of 0 is of none.
 
-    The circle is as wide as the body, whose range may be wrong, or as that of the largest group, and the margin wider.
+    ``boxes`` (G, 4) are left, top, width and height. The circle is as wide as the body may be, ``diameter_px``, or as
+    that of the largest group, and the margin wider.
     """
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
     one = np.zeros(len(areas), dtype=bool)
     hull, widest_px = np.zeros((0, 1, 2), dtype=np.float32), np.inf
     for group in order:
-        rows, columns = np.nonzero(labels == group)
-        both = cv2.convexHull(np.concatenate([hull, np.column_stack([columns, rows])[:, None].astype(np.float32)]))
+        left, top, width, height = boxes[group]
+        rows, columns = np.nonzero(labels[top : top + height, left : left + width] == group)
+        points = np.column_stack([columns + left, rows + top])[:, None].astype(np.float32)
+        both = cv2.convexHull(np.concatenate([hull, points]))
         across_px = 2.0 * cv2.minEnclosingCircle(both)[1] + 1.0
         one[group] = across_px <= widest_px
         hull = both if one[group] else hull
@@ -147,6 +151,14 @@ def _expected(frame: Frame, camera: Camera) -> tuple[FloatArray, float]:
     by_position = camera.jacobian(translation_m)
     covariance_px2 = by_position @ frame.prior_covariance[3:, 3:] @ by_position.T
     return camera.project(translation_m), _SIGMAS * float(np.sqrt(np.trace(covariance_px2)))
+
+
+def _range_error(frame: Frame) -> float:
+    """Two standard deviations of the range of the prior, as a share of it: by so much the body may be larger."""
+    translation_m = frame.prior_T_cam_body.translation_m
+    range_m = float(np.linalg.norm(translation_m))
+    sight = translation_m / range_m
+    return 2.0 * float(np.sqrt(sight @ frame.prior_covariance[3:, 3:] @ sight)) / range_m
 
 
 def near(image: FloatArray, lit: BoolArray) -> FloatArray:

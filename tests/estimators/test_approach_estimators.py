@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from boresight.estimators.approach.body import BodyView, LitBody, find_body
+from boresight.estimators.approach.body import BodyView, LitBody, find_body, of_one_body
 from boresight.estimators.approach.centroid import CENTROID
 from boresight.estimators.approach.sight import _by_pose
 from boresight.estimators.registry import estimator_class
@@ -314,3 +315,36 @@ def test_parts_of_a_body_that_is_nearer_than_the_prior_says_stay_together():
     found = find_body(replace(frame, image=image), CAMERA, 45.0)
     assert found.lit.sum() == (first & (image > 100.0)).sum()
     assert found.extent_px == 60.0
+
+
+@pytest.mark.parametrize(("sigma", "kept"), [(0.0, 1), (0.2, 2)])
+def test_lobes_stay_together_as_far_as_the_range_may_be_wrong(sigma, kept):
+    """Two lobes of 28 px, 60 px in all, with a shadow between them; the prior has the body as 45 px wide."""
+    frame = ahead(observed(1)[1].frame)
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
+    u, v = CAMERA.project(frame.prior_T_cam_body.translation_m)
+    lobes = [np.hypot(columns - u - side, rows - v) < radius for side, radius in ((-16.0, 14.0), (16.0, 13.5))]
+    image = np.where(lobes[0] | lobes[1], 200.0, 10.0).astype(np.float32)
+    covariance = np.diag([1e-6] * 3 + [1.0, 1.0, (sigma * 10_000.0) ** 2])
+    found = find_body(replace(frame, image=image, prior_covariance=covariance), CAMERA, 45.0)
+    assert found.lit.sum() == sum(lobe.sum() for lobe in lobes[:kept])
+
+
+def test_many_groups_take_no_longer_than_their_pixels():
+    """The pixels that are looked at are those of each group's box, not the image for each group."""
+    ahead(observed(1)[1].frame)
+    image = np.full((CAMERA.height_px, CAMERA.width_px), 10.0, np.float32)
+    for row in range(20, CAMERA.height_px - 20, 4):
+        image[row : row + 2, 20:-20] = np.where(np.arange(CAMERA.width_px - 40) % 4 < 2, 200.0, 10.0)
+    looked = []
+
+    class Counted(np.ndarray):
+        def __eq__(self, other):
+            looked.append(self.size)
+            return np.asarray(self) == other
+
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((image > 100.0).astype(np.uint8), connectivity=8)
+    areas = np.where(np.arange(len(stats)) > 0, stats[:, cv2.CC_STAT_AREA], 0)
+    of_one_body(labels.view(Counted), stats[:, :4], areas, 1000.0)
+    assert len(looked) == len(stats) - 1 > 300
+    assert sum(looked) == areas.sum()
