@@ -35,6 +35,9 @@ _KINDS = {
 }
 """Section of a scenario to the kind of trial that needs it, and no other."""
 
+_WITHOUT_IMAGES = ("pose-convergence", "landmark-database")
+"""Kinds whose trials show no image of the scenario's views."""
+
 
 def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
     """Read all that a run of so many trials of each scenario reads, and refuse what could not run.
@@ -111,8 +114,11 @@ def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int 
 
     Return how many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
     """
-    limit, bodies = trial_limit(scenario), check_bodies(scenario)
-    kind_named(experiment or kind_of(scenario)).check_scenario(scenario)
+    limit, bodies, kind = trial_limit(scenario), check_bodies(scenario), kind_named(experiment or kind_of(scenario))
+    unseen = [key for key in ("second_body", "stars") if getattr(scenario.spec, key) is not None]
+    if unseen and kind.name in _WITHOUT_IMAGES:
+        raise BoresightError(f"{scenario.path}: {unseen[0]} has no part in {kind.name}: leave it out")
+    kind.check_scenario(scenario)
     return limit, bodies
 
 

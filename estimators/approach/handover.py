@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -111,7 +112,7 @@ class ApproachEstimator:
         ``fallbacks`` (the number of finer methods that failed) and ``failed_before`` (why).
         """
         prior = observation.frame.prior_T_cam_body
-        size_px, reasons = sphere_px(self._radius_m, prior, observation.camera), []
+        size_px, reasons, seconds = sphere_px(self._radius_m, prior, observation.camera), [], Counter[str]()
         for phase, own in zip(self._phases, rng.spawn(len(self._phases)), strict=True):
             if size_px < phase.least_px:
                 continue
@@ -119,9 +120,10 @@ class ApproachEstimator:
                 reasons.append(f"{phase.method} names no estimator")
                 continue
             found = phase.estimator.estimate(observation, rng=own)
+            seconds.update(found.timings_s)
             if found.status == "ok":
                 told = {**found.diagnostics, "predicted_px": size_px, "method": phase.method}
                 told |= {"fallbacks": len(reasons), "failed_before": "; ".join(reasons)}
-                return replace(found, diagnostics=told)
+                return replace(found, diagnostics=told, timings_s=dict(seconds))
             reasons.append(f"{phase.method}: {found.reason}")
-        return Estimate("failed", "; ".join(reasons), diagnostics={"predicted_px": size_px})
+        return Estimate("failed", "; ".join(reasons), diagnostics={"predicted_px": size_px}, timings_s=dict(seconds))

@@ -311,6 +311,9 @@ class ScenarioSpec(SpecModel):
             raise ValueError("second_body: no image has two bodies and the section craters: leave one of the two out")
         if self.second_body.body.shading != self.body.shading:
             raise ValueError(f"second_body.body.shading: both bodies have the same: give {self.body.shading}")
+        albedo, ratio = getattr(self.brdf, "albedo", None), self.second_body.albedo_ratio
+        if albedo is not None and albedo * ratio > 1.0:
+            raise ValueError(f"second_body.albedo_ratio: {ratio:g} times the albedo {albedo:g} is above 1: give less")
 
     @model_validator(mode="after")
     def _stars_behind_a_rotating_body(self) -> Self:
