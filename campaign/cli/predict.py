@@ -6,7 +6,6 @@ import argparse
 import tempfile
 from pathlib import Path
 
-import pandas as pd
 from rich.table import Table
 
 from boresight.campaign.cli.terminal import console
@@ -15,6 +14,7 @@ from boresight.campaign.runs.predict import PredictedError, predict_errors, summ
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import find_run
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE
 from boresight.scenarios.errors import BoresightError, display
 
@@ -29,35 +29,31 @@ _NAMES = {
 
 def predict_command(arguments: argparse.Namespace) -> int:
     """Predict the errors of a campaign's estimators, and print them next to those of a run."""
-    out, variant = console(), choose_variant(None).name
+    out, folder = console(), None if arguments.run is None else find_run(arguments.run)
+    run = None if folder is None else read_run(folder.path)
+    variant = choose_variant(None).name if run is None else str(run.manifest.machine["variant"])
     campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant, embedded=arguments.embedded)
     chosen, others = with_predictors(campaign, [] if arguments.estimator is None else [arguments.estimator])
-    rows = None if arguments.run is None else _rows(arguments.run, campaign.digest)
-    stored = None if rows is None else int(rows["trial"].max()) + 1
+    if folder is not None and (folder.read_manifest() or {}).get("digest") != campaign.digest:
+        raise BoresightError(
+            f"--run {display(folder.path)}: is not a run of this campaign with these scenarios, options, seed and"
+            " versions, or is a draft of it: give its own --set and --seed, or run it again"
+        )
+    stored = None if run is None else int(run.rows["trial"].max()) + 1
     trials = arguments.trials or stored or _TRIALS
     check_campaign(chosen, trials)
-    with tempfile.TemporaryDirectory(prefix="boresight-predict-") as folder:
-        predicted = predict_errors(chosen, trials, Path(folder), out.print)
-    out.print(_table(list(summarise(predicted, rows)), rows is not None))
+    with tempfile.TemporaryDirectory(prefix="boresight-predict-") as place:
+        predicted = predict_errors(chosen, trials, Path(place), out.print)
+    found = list(summarise(predicted, run))
+    out.print(_table(found, run is not None))
+    for one in found:
+        if not one.n:
+            why = "the geometry of its views allows no estimate, or its tracks are of images or of a file"
+            out.print(f"{one.scenario}, {one.estimator}: no prediction: {why}")
     out.print(f"linear, at the views of {trials} trials, seed {campaign.seed}; no image was made")
     if others:
         out.print(f"no predictor: {', '.join(others)}")
     return 0
-
-
-def _rows(run: str, digest: str) -> pd.DataFrame:
-    """Read the rows of a run; refuse one of another campaign, seed or scenario."""
-    folder = find_run(run)
-    manifest = folder.read_manifest()
-    if manifest is None or manifest["digest"] != digest:
-        raise BoresightError(
-            f"--run {display(folder.path)}: is not a run of this campaign with these scenarios, options and seed: give"
-            " its own --set and --seed"
-        )
-    rows = folder.table("rows")
-    if not len(rows):
-        raise BoresightError(f"--run {display(folder.path)}: no trial is stored there")
-    return rows
 
 
 def _table(found: list[PredictedError], compared: bool) -> Table:

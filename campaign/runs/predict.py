@@ -1,9 +1,9 @@
-"""Linear covariance of a campaign: the errors that each estimator will have, predicted from geometry without images."""
+"""Linear covariance of a campaign, from geometry and declared errors without images."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,10 +13,12 @@ import pandas as pd
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import build_products
 from boresight.campaign.runs.manifest import RunRequest
-from boresight.campaign.trial.kind import PerDatabase, Record, WorkerContext, kind_named
+from boresight.campaign.trial.kind import PerDatabase, Prediction, Record, WorkerContext, kind_named
 from boresight.campaign.trial.score import MEASURES, measured_errors
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, select
 from boresight.reports.statistics.intervals import Interval, interval_of_sums
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError, MachineError, text_of
 
 STATED = {"position_m": "position_sigma_m", "attitude_deg": "attitude_sigma_deg"}
 """Columns of a run with the RMS errors that the estimator states, by the measure."""
@@ -51,6 +53,7 @@ def predict_errors(campaign: ResolvedCampaign, trials: int, folder: Path, tell: 
     or the geometry allows no estimate) and the processor time ``seconds``, without that of the draw.
     """
     build_products(campaign, RunRequest(folder, trials, jobs=1), tell)
+    compiled: set[str] = set()
     context = WorkerContext(folder, 1, keep_images=False)
     records: list[Record] = []
     for scenario in campaign.scenarios:
@@ -59,10 +62,25 @@ def predict_errors(campaign: ResolvedCampaign, trials: int, folder: Path, tell: 
             predictors = drawn.of(trial).predictors(trial)
             for label in campaign.labels:
                 key: Record = {"scenario": scenario.spec.name, "estimator": label, "trial": trial}
+                predict = predictors.get(label, lambda: None)
+                if label not in compiled:
+                    _predicted(predict, key)  # compiles, which is no part of the time
+                    compiled.add(label)
                 began = time.process_time()
-                found = predictors[label]() if label in predictors else None
+                found = _predicted(predict, key)
                 records.append({**key, **(found or {}), "seconds": time.process_time() - began})
     return pd.DataFrame(records, columns=["scenario", "estimator", "trial", *MEASURES, "seconds"])
+
+
+def _predicted(predict: Prediction, key: Record) -> Mapping[str, float] | None:
+    """Predict; raise BoresightError if the estimator raises, or returns no covariance."""
+    try:
+        return predict()
+    except (KeyboardInterrupt, MachineError):
+        raise
+    except Exception as error:
+        where = f"{key['scenario']}, {key['estimator']}, trial {key['trial']}"
+        raise BoresightError(f"{where}: predict of the estimator failed: {text_of(error)}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +106,8 @@ class PredictedError:
     interval: Interval = (None, None)
 
 
-def summarise(predicted: pd.DataFrame, rows: pd.DataFrame | None = None) -> Iterator[PredictedError]:
-    """Pool predictions over trials, and compare them with the rows of a run of the same trials."""
+def summarise(predicted: pd.DataFrame, run: RunData | None = None) -> Iterator[PredictedError]:
+    """Pool predictions over trials, and compare them with a run of the same trials."""
     for (scenario, estimator), group in predicted.groupby(["scenario", "estimator"], sort=False):
         for measure in MEASURES:
             known = group[group[measure].notna()]
@@ -98,12 +116,13 @@ def summarise(predicted: pd.DataFrame, rows: pd.DataFrame | None = None) -> Iter
                     str(scenario), str(estimator), measure, len(group), len(known),
                     _rms(known[measure]), float(group["seconds"].median()),
                 )  # fmt: skip
-                yield one if rows is None else _compared(one, known, rows)
+                yield one if run is None else _compared(one, known, run)
 
 
-def _compared(one: PredictedError, known: pd.DataFrame, rows: pd.DataFrame) -> PredictedError:
+def _compared(one: PredictedError, known: pd.DataFrame, run: RunData) -> PredictedError:
     """Add the errors of the rows of the same scenario, estimator and trials."""
-    own = rows[(rows["scenario"] == one.scenario) & (rows["estimator"] == one.estimator) & (rows["status"] == "ok")]
+    own = select(run.rows, one.scenario, one.estimator)
+    own = own[own["status"] == "ok"]
     scored = ((row["trial"], measured_errors(row)) for row in own.to_dict("records"))
     errors = {int(trial): found[one.measure] for trial, found in scored if one.measure in found}
     pairs = known[known["trial"].isin(errors)].assign(error=lambda some: some["trial"].map(errors))
@@ -111,7 +130,7 @@ def _compared(one: PredictedError, known: pd.DataFrame, rows: pd.DataFrame) -> P
         return one
     squares = np.square(pairs[["error", one.measure]].to_numpy(dtype=np.float64))
     interval = interval_of_sums(
-        squares, pairs["trial"].to_numpy(), lambda sums: np.sqrt(sums[:, 0] / sums[:, 1]), positive=True
+        squares, clusters_of(run, pairs), lambda sums: np.sqrt(sums[:, 0] / sums[:, 1]), positive=True
     )
     total, column = squares.sum(axis=0), STATED.get(one.measure)
     stated = own[own["trial"].isin(pairs["trial"])].get(column, pd.Series(dtype=np.float64)).dropna()

@@ -171,7 +171,7 @@ def measured_errors(row: Mapping[Any, Any]) -> dict[str, float]:
         name: row.get(column)
         for name, column in zip(MEASURES, ("position_error_m", "attitude_error_deg"), strict=False)
     }
-    if row.get("true_tx_m") is not None and row.get("tx_m") is not None:
+    if np.isfinite([row.get("true_tx_m", np.nan), row.get("tx_m", np.nan)]).all():
         estimated, true = pose_of(row).translation_m, pose_of(row, "true_").translation_m
         range_m = float(np.linalg.norm(true))
         along_m = float((estimated - true) @ true) / range_m

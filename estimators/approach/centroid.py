@@ -49,7 +49,7 @@ class CentroidEstimator:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
     def __init__(self, renderer: ImageRenderer, radius_m: float, options: CentroidOptions) -> None:

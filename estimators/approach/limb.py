@@ -39,7 +39,12 @@ _POINT_PX = 0.12
 class LimbOptions(SpecModel):
     """Options of ``limb``."""
 
-    blur_px: float = Field(0.5, ge=0, le=20, description="Point spread function of the camera")
+    blur_px: float = Field(
+        0.5,
+        ge=0,
+        le=1.3,
+        description="Point spread function of the camera; wider ones do not fit into a profile of 8 px",
+    )
     bias_px: float = Field(
         0.1,
         ge=0,
@@ -115,7 +120,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:

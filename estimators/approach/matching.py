@@ -42,7 +42,7 @@ class SilhouetteEstimator:
     """
 
     name: ClassVar[str] = "silhouette"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
     def __init__(self, renderer: ImageRenderer, radius_m: float, options: SightOptions, misfit_m: float = 0.0) -> None:

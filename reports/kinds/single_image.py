@@ -89,9 +89,14 @@ def costs(run: RunData) -> list[Cost]:
         here = [cost for cost in found if cost.scenario == scenario]
         if len(here) > 1 and any(cost.size_bytes is not None for cost in here):
             own = {cost.estimator: _by_trial(run, cost) for cost in here}
+            better = {
+                one.estimator: [by.estimator for by in here if by is not one and _dominates(run, by, one, own)]
+                for one in here
+            }
             for one in here:
-                better = (other for other in here if other is not one and _dominates(run, other, one, own))
-                shown.append(replace(one, dominated_by=next((other.estimator for other in better), "")))
+                # One that is on the front, if any: domination beyond intervals is not transitive.
+                named = sorted(better[one.estimator], key=lambda name: bool(better[name]))
+                shown.append(replace(one, dominated_by=next(iter(named), "")))
     return shown
 
 

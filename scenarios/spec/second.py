@@ -19,7 +19,9 @@ class SecondBodySpec(SpecModel):
     """
 
     body: BodySpec = BodySpec()
-    albedo_ratio: float = Field(1.0, gt=0, le=10, description="Its albedo over that of the first body: brdf is common")
+    albedo_ratio: float = Field(
+        1.0, gt=0, le=10, description="Albedo of the second body over that of the first: brdf is common"
+    )
     semi_major_axis_m: float = Field(gt=0, le=1e9, description="Distance of the origins of the two bodies")
     inclination_deg: float = Field(0.0, ge=0, le=180, description="Inclination of the orbit on the x-y plane")
     node_deg: float = Field(0.0, ge=-360, le=360, description="Longitude of the ascending node")

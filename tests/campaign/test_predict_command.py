@@ -10,6 +10,7 @@ from boresight.campaign.runs.predict import predict_errors, summarise, with_pred
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.run.data import read_run
 
 LIMB = "scenarios: [scene]\nestimators: [limb, prior]\ntrials: 6\nseed: 5\n"
 
@@ -32,7 +33,7 @@ def test_predictions_and_a_run_are_pairs(orbits, tmp_path, capsys):
     campaign, others = with_predictors(resolve(str(orbits), variant=choose_variant().name))
     assert others == ["ekf-slam"]
     predicted = predict_errors(campaign, 12, tmp_path / "products", print)
-    found = {one.estimator: one for one in summarise(predicted, RunFolder(out).table("rows"))}
+    found = {one.estimator: one for one in summarise(predicted, read_run(out))}
     rows = RunFolder(out).table("rows")
     own = rows[rows["estimator"] == "dead-reckoning"]["position_error_m"]
     one = found["dead-reckoning"]
@@ -69,3 +70,44 @@ def test_a_run_of_another_campaign_is_refused(orbits, tmp_path, capsys):
     assert main(["predict", str(orbits), "--run", str(out), "--seed", "6"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "is not a run of this campaign" in line
+
+
+WRONG = """\
+import numpy as np
+
+class Wrong:
+    name, version = "wrong", 1
+    @classmethod
+    def from_options(cls, options, assets): return cls()
+    def estimate(self, observation, *, rng): ...
+    def predict(self, planned): return {}
+"""
+
+
+@pytest.mark.parametrize("answer", ["planned.frame.image.max()", "np.eye(3)", "-np.eye(6)", "np.full((6, 6), np.nan)"])
+def test_what_is_no_covariance_is_refused_in_one_line(cache, tmp_path, capsys, answer):
+    (tmp_path / "wrong.py").write_text(WRONG.format(answer))
+    file = write_campaign(tmp_path, LIMB.replace("limb, prior", f"'{tmp_path}/wrong.py:Wrong'"), SCENE)
+    assert main(["predict", str(file), "--trials", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "predict of the estimator failed" in line
+
+
+def test_the_errors_of_the_limb_are_those_predicted(cache, tmp_path, capsys):
+    """A body of 130 px, with a prior that is ten times as wide: 40 images."""
+    out = tmp_path / "run"
+    scene = (
+        "body: {shape: apophis-like}\ncamera: {width_px: 256, height_px: 256, fov_deg: 9.15}\n"
+        "detector: {psf_sigma_px: 0.6}\n"
+        "viewpoint: {range_m: 5000}\nlighting: {phase_deg: {uniform: [20, 60]}}\n"
+        "pose_error: {position_cam_m: {normal: [30, 30, 100]}}\n"
+    )
+    file = write_campaign(tmp_path, LIMB.replace("trials: 6", "trials: 40"), scene)
+    assert main(["run", str(file), "--out", str(out), "--jobs", "1", "--no-report"]) == 0
+    campaign, _ = with_predictors(resolve(str(file), variant=choose_variant().name))
+    found = {
+        one.measure: one for one in summarise(predict_errors(campaign, 40, tmp_path / "products", print), read_run(out))
+    }
+    assert found["sight_urad"].n_ok == 40
+    assert 0.6 < found["sight_urad"].ratio < 1.5
+    assert 0.5 < found["range_m"].ratio < 1.6

@@ -221,7 +221,10 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
 
         def predict(method: Predictor) -> Mapping[str, float] | None:
             covariance = method.predict(planned)
-            return None if covariance is None else predicted_errors(covariance, planned.frame.prior_T_cam_body)
+            if covariance is None:
+                return None
+            check_covariance("a predicted covariance", covariance, _PARAMETERS)
+            return predicted_errors(covariance, planned.frame.prior_T_cam_body)
 
         return {label: partial(predict, one) for label, one in self.methods.items() if isinstance(one, Predictor)}
 
