@@ -332,7 +332,6 @@ def test_lobes_stay_together_as_far_as_the_range_may_be_wrong(sigma, kept):
 
 def test_many_groups_take_no_longer_than_their_pixels():
     """The pixels that are looked at are those of each group's box, not the image for each group."""
-    ahead(observed(1)[1].frame)
     image = np.full((CAMERA.height_px, CAMERA.width_px), 10.0, np.float32)
     for row in range(20, CAMERA.height_px - 20, 4):
         image[row : row + 2, 20:-20] = np.where(np.arange(CAMERA.width_px - 40) % 4 < 2, 200.0, 10.0)
