@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -46,7 +47,9 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     # The data bases of the base are made once, before workers ask for them.
     with tempfile.TemporaryDirectory() as place:
         _method(scenario, options, Path(place), jobs, variant)
-        found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place))
+        # The method takes longer than the image: with the chunks of the image store, few trials would keep few workers.
+        share = math.ceil(options.trials / jobs)
+        found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=share)
     solved = [one for one in found if one is not None]
     check_solved(len(solved), options.trials, options.base)
     tuning = fit_tuning(solved, options.trials)

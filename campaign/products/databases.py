@@ -44,6 +44,7 @@ SEED_STEP = 10_000
 """Difference of the seeds of two data bases, large enough to avoid nearby seeds in other uses."""
 
 _CHUNK_IMAGES = 10
+"""Images that a worker makes at a time: those that the image store keeps together."""
 
 
 def content_key(
@@ -133,17 +134,26 @@ def _drawn_onboard(onboard: OnboardSpec) -> dict[str, SpecModel]:
     return {name: section for name, section in sections.items() if hasattr(section, "seed")}
 
 
-def map_images(jobs: int | None, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
+def map_images(
+    jobs: int | None,
+    images: int,
+    function: Callable[..., list[T]],
+    *arguments: object,
+    most_images: int = _CHUNK_IMAGES,
+) -> list[T]:
     """Apply ``function(*arguments, numbers)`` to chunks of image numbers in workers; return all results in order.
 
     Numbers are from 0. The function is one of a module, so that it can be pickled, and returns one result for each
-    number. With ``jobs`` None it runs in this process, a worker with its number of threads already set.
+    number. With ``jobs`` None it runs in this process, a worker with its number of threads already set. A chunk is
+    one of the image store, or ``most_images`` if that is less.
     """
-    chunks = [range(i, min(i + _CHUNK_IMAGES, images)) for i in range(0, images, _CHUNK_IMAGES)]
+    size = min(most_images, _CHUNK_IMAGES)
+    chunks = [range(i, min(i + size, images)) for i in range(0, images, size)]
     if jobs is None:
         return [result for chunk in chunks for result in function(*arguments, chunk)]
     calls = ((jobs, function, arguments, chunk) for chunk in chunks)
     found: list[T] = []
+    report_progress("images", 0, images)
     for results in in_order(jobs, _in_worker, calls):
         found += results
         report_progress("images", len(found), images)

@@ -440,7 +440,7 @@ def test_progress_counts_the_images_of_a_data_base(monkeypatch):
     with ProgressListener(Console(file=out)):
         assert map_images(1, 35, doubled) == [2 * number for number in range(35)]
     lines = out.getvalue().splitlines()
-    assert [line.split(",")[0] for line in lines] == ["20/35 images", "30/35 images"]
+    assert [line.split(",")[0] for line in lines] == ["10/35 images", "20/35 images", "30/35 images"]
     assert all(line.endswith(" s left") for line in lines)
     map_images(1, 35, doubled)
     assert out.getvalue().splitlines() == lines, "no longer counted"
