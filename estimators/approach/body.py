@@ -135,14 +135,21 @@ def of_one_body(labels: IndexArray, boxes: IndexArray, areas: IndexArray, diamet
     hull, widest_px = np.zeros((0, 1, 2), dtype=np.float32), np.inf
     for group in order:
         left, top, width, height = boxes[group]
-        rows, columns = np.nonzero(labels[top : top + height, left : left + width] == group)
-        points = np.column_stack([columns + left, rows + top])[:, None].astype(np.float32)
+        ends = row_ends(labels[top : top + height, left : left + width] == group)
+        points = (ends + np.array([left, top]))[:, None].astype(np.float32)
         both = cv2.convexHull(np.concatenate([hull, points]))
         across_px = 2.0 * cv2.minEnclosingCircle(both)[1] + 1.0
         one[group] = across_px <= widest_px
         hull = both if one[group] else hull
         widest_px = min(widest_px, max(diameter_px, across_px) + _MARGIN_PX)
     return one
+
+
+def row_ends(mask: BoolArray) -> IndexArray:
+    """Columns and rows (n, 2) of the first and last pixels of the rows of a mask (h, w), which hold its convex hull."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    last = mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    return np.column_stack([np.concatenate([mask[rows].argmax(axis=1), last]), np.tile(rows, 2)])
 
 
 def _expected(frame: Frame, camera: Camera) -> tuple[FloatArray, float]:

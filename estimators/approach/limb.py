@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from boresight.estimators.approach.body import LitBody, find_body
+from boresight.estimators.approach.body import LitBody, find_body, row_ends
 from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
@@ -111,7 +111,7 @@ class LimbEstimator:
 
     Cost
     ----
-    0.03 s an image of 1024 x 1024 pixels.
+    0.01 s an image of 1024 x 1024 pixels, up to 0.03 s where the body fills it.
 
     Source
     ------
@@ -234,9 +234,7 @@ class LimbEstimator:
         if body.cut or not np.isfinite(radius_px).any():
             return prior
         outline = centre_px + radius_px[:, None] * scene.rays
-        rows = np.flatnonzero(body.lit.any(axis=1))  # the extremes are among the first and last pixels of rows
-        ends = body.lit[rows].argmax(axis=1), body.lit.shape[1] - 1 - body.lit[rows, ::-1].argmax(axis=1)
-        lit = np.column_stack([np.concatenate(ends) + body.patch.column, np.tile(rows, 2) + body.patch.row]) + 0.5
+        lit = row_ends(body.lit) + np.array([body.patch.column, body.patch.row]) + 0.5
         along = camera.jacobian(prior.translation_m) @ scene.frame.sun_dir_cam
         sun = along / max(float(np.linalg.norm(along)), 1e-300)
         across = np.array([-sun[1], sun[0]])
