@@ -27,7 +27,7 @@ _SPACING_PX = 1.5
 _LEAST_RAYS, _MOST_RAYS = 48, 256
 _BORDER_PX = 5.0
 _SCAN_STEP_PX, _MOST_SAMPLES = 0.5, 256
-_COARSE_STEPS, _FINE_STEPS = 3, 3
+_MOST_STEPS, _MOVED_PX = 10, 0.02
 _HUBER = 1.5
 _ARCS = 12
 _LIT_PX = 1.0
@@ -49,6 +49,12 @@ class LimbOptions(SpecModel):
         0.1,
         ge=0,
         description="Standard deviation of an error of all points along their normals, by point spread and reflectance",
+    )
+    misfit_px: float = Field(
+        1.6,
+        gt=0,
+        description="Where the frame cuts the body, a larger RMS distance of the points from the outline is a failure; "
+        "points anywhere on their profiles have 1.7",
     )
     points_min: int = Field(12, ge=6, le=360, description="Fewer points on the lit limb are a failure")
 
@@ -94,10 +100,11 @@ class LimbEstimator:
     """Fits the position to sub-pixel points on the lit limb of the onboard shape.
 
     Rays from the middle of the body find the limb from outside on the side of the Sun; Christian and Robinson's
-    solution for the shape's ellipsoid is the start. The outline of the onboard shape is then fitted by robust
-    Gauss-Newton steps: profiles of brightness across it give sub-pixel points, and distances along the normals are
-    minimised. The three coordinates of the position are fused with the prior; the attitude stays that of the prior. The
-    covariance holds the scatter of the points and what the error of the prior's attitude does to the position.
+    solution for the shape's ellipsoid is the start, or the prior where the frame cuts the body. The outline of the
+    onboard shape is then fitted by robust Gauss-Newton steps: profiles of brightness across it give sub-pixel points,
+    and distances along the normals are minimised. The three coordinates of the position are fused with the prior; the
+    attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is as large as the
+    scatter where the frame cuts the body, and what the error of the prior's attitude does to the position.
 
     Use it when
     -----------
@@ -106,8 +113,8 @@ class LimbEstimator:
     It fails when
     -------------
     Fewer than ``points_min`` points of the lit limb are in the image: the body fills the frame, or its mean radius is
-    below 4 px. The outline must be that of the shape: errors of the shape enter in full. Light around the body is left
-    out up to a fifth of its bright level.
+    below 4 px; or the frame cuts it and the points are ``misfit_px`` off the outline. The outline must be that of the
+    shape: errors of the shape enter in full. Light around the body is left out up to a fifth of its bright level.
 
     Cost
     ----
@@ -120,7 +127,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:
@@ -159,13 +166,19 @@ class LimbEstimator:
                 failure += f", or the body's radius is below {ACROSS_PX[-1]:g} px"
                 return Estimate("failed", failure, stages=stages, diagnostics=told, timings_s=clock.seconds)
             pose, points, residual_px, weight = fit
-            told |= {"limb_points": len(residual_px), "residual_px": float(np.sqrt((residual_px**2).mean()))}
+            misfit_px = float(np.sqrt((residual_px**2).mean()))
+            told |= {"limb_points": len(residual_px), "residual_px": misfit_px}
+            if body.cut and misfit_px > self._options.misfit_px:
+                failure = f"points of the limb are {misfit_px:.2g} px RMS off the outline: more than misfit_px"
+                return Estimate("failed", failure, stages=stages, diagnostics=told, timings_s=clock.seconds)
             # Each point measures g . (t - t_prior) + q . w + noise; the weighted sums of these are all that they tell.
             weighted = weight[:, None] * points.by_position
             by_pose = weighted.T @ np.hstack([points.by_attitude, points.by_position])
             measured = weighted.T @ (residual_px + points.by_position @ (pose.translation_m - prior.translation_m))
             arc = points.ray * _ARCS // count
-            noise = self._with_bias(grouped_covariance(weighted * residual_px[:, None], arc, 3), weighted, arc)
+            noise = grouped_covariance(weighted * residual_px[:, None], arc, 3)
+            # The points of a cut body are on a short arc, of which a misfit of the shape may move all.
+            noise += _bias_covariance(max(self._options.bias_px, misfit_px * body.cut), weighted, arc)
             found = fuse(observation, measured, by_pose, noise)
         if found.pose is not None and found.covariance is not None:
             found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
@@ -184,18 +197,10 @@ class LimbEstimator:
         if points is None or len(points.ray) < self._options.points_min:
             return None
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])
-        noise = self._with_bias(_POINT_PX**2 * by_pose[:, 3:], points.by_position, points.ray * _ARCS // count)
+        noise = _POINT_PX**2 * by_pose[:, 3:]
+        noise += _bias_covariance(self._options.bias_px, points.by_position, points.ray * _ARCS // count)
         covariance = fuse(planned, np.zeros(3), by_pose, noise).covariance
         return None if covariance is None else covariance + planned.calibration_covariance(pose)
-
-    def _with_bias(self, noise: FloatArray, scores: FloatArray, arc: IndexArray) -> FloatArray:
-        """Add to a covariance (3, 3) of the sum of scores (n, 3) that of the bias.
-
-        Of its variance one half is common to all points, the other to those of an arc.
-        """
-        for group in (np.zeros_like(arc), arc):
-            noise = noise + 0.5 * self._options.bias_px**2 * grouped_covariance(scores, group, 0)
-        return noise
 
     def _limb_at(self, scene: _Plan, pose: Pose, centre_px: FloatArray) -> LimbPoints | None:
         """Points of the lit limb at a pose, on the rays from a centre; None without any."""
@@ -261,14 +266,17 @@ class LimbEstimator:
         limb = limb[sound[limb.ray]]
         if len(limb.ray) < self._options.points_min:
             return None
-        pose = self._from_horizon(camera.unproject(seen[limb.ray]), start)
-        for _ in range(_COARSE_STEPS):
+        # The ellipsoid's horizon from a part of an irregular limb is worse than a prior that has the body in view.
+        pose = start if scene.body.cut else self._from_horizon(camera.unproject(seen[limb.ray]), start)
+        for _ in range(_MOST_STEPS):
             limb = self._limb_at(scene, pose, centre_px)
             limb = None if limb is None else limb[sound[limb.ray]]
             if limb is None or len(limb.ray) < self._options.points_min:
                 return None
             residual_px = np.einsum("ni,ni->n", seen[limb.ray] - limb.uv_px, limb.normals)
-            pose, _ = _step(pose, scene.frame, limb.by_position, residual_px)
+            before, (pose, _) = pose, _step(pose, scene.frame, limb.by_position, residual_px)
+            if _moved_px(limb, before, pose) < _MOVED_PX:
+                break
         return pose
 
     def _from_horizon(self, directions: FloatArray, start: Pose) -> Pose:
@@ -280,7 +288,7 @@ class LimbEstimator:
     def _refine(self, scene: _Scene, pose: Pose) -> tuple[Pose, LimbPoints, FloatArray, FloatArray] | None:
         """Fit the outline to profiles of brightness: pose, points, their distances at it, px, and weights, px^-2."""
         scene = replace(scene, edges=self._outline.silhouette(pose))
-        for _ in range(_FINE_STEPS):
+        for _ in range(_MOST_STEPS):
             centre_px = scene.camera.project(pose.translation_m)
             limb = self._limb_at(scene, pose, centre_px)
             if limb is None:
@@ -297,8 +305,21 @@ class LimbEstimator:
                 return None
             limb, residual_px = limb[sound], place_px[sound]
             moved, weight = _step(pose, scene.frame, limb.by_position, residual_px)
-            fitted, pose = (pose, limb, residual_px, weight), moved
+            fitted, settled, pose = (pose, limb, residual_px, weight), _moved_px(limb, pose, moved) < _MOVED_PX, moved
+            if settled:
+                break
         return fitted
+
+
+def _bias_covariance(bias_px: float, scores: FloatArray, arc: IndexArray) -> FloatArray:
+    """Covariance (3, 3) of the sum of scores (n, 3) by a bias, one half common to all, the other to those of an arc."""
+    common = grouped_covariance(scores, np.zeros_like(arc), 0)
+    return 0.5 * bias_px**2 * (common + grouped_covariance(scores, arc, 0))
+
+
+def _moved_px(limb: LimbPoints, before: Pose, after: Pose) -> float:
+    """RMS of the shifts of points along their normals by a step of the translation, px."""
+    return float(np.sqrt(np.mean((limb.by_position @ (after.translation_m - before.translation_m)) ** 2)))
 
 
 def _ray_count(size_px: float) -> int:

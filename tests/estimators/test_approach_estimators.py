@@ -347,3 +347,20 @@ def test_many_groups_take_no_longer_than_their_pixels():
     of_one_body(labels.view(Counted), stats[:, :4], areas, 1000.0)
     assert len(looked) == len(stats) - 1 > 300
     assert sum(looked) == areas.sum()
+
+
+def test_the_limb_of_a_body_larger_than_the_frame():
+    """A part of the limb is fitted from the prior: the horizon of an ellipsoid through it was up to 6 px away."""
+    for trial in range(TRIALS):
+        truth, seen = observed(trial, 260.0)
+        found = estimate("limb", seen)
+        error = CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)
+        assert found.status == "ok" and np.linalg.norm(error) < 1.0, trial
+
+
+def test_the_limb_of_another_shape_is_a_failure():
+    """No place brings its outline onto the limb, and a wrong one with a small covariance would be worse than none."""
+    _, seen = observed(3, 260.0)
+    turned = seen.frame.prior_T_cam_body.perturbed(np.array([0.0, 0.0, np.pi / 2.0]), np.zeros(3))
+    found = estimate("limb", replace(seen, frame=replace(seen.frame, prior_T_cam_body=turned)))
+    assert found.status == "failed" and found.reason.endswith("more than misfit_px")
