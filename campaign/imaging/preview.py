@@ -41,8 +41,7 @@ def ranges_m(scenario: LoadedScenario, mesh: TriangleMesh) -> tuple[float, float
     if spec.crater_pairs is not None:
         return (spec.crater_pairs.range_m,) * 3
     if spec.orbit is not None:
-        axis_m, eccentricity = spec.orbit.arc.semi_major_axis_m, spec.orbit.arc.eccentricity
-        return axis_m * (1.0 - eccentricity), axis_m, axis_m * (1.0 + eccentricity)
+        return spec.orbit.arc.ranges_m
     ranges = _known_ranges_m(scenario)
     return float(min(ranges)), float(np.median(ranges)), float(max(ranges))
 

@@ -12,7 +12,7 @@ from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.gravity import Harmonics
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, draw_pointing, propagate_truth
+from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, draw_pointing, pointed_at, propagate_truth
 from boresight.scenarios.orbits.world import Horizons, OrbitWorld
 from boresight.scenarios.spec.orbit import CraterSightingSpec
 
@@ -21,7 +21,9 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
     """Draw the a priori knowledge with its errors; ``state`` (6,) is the true one at the epoch."""
     rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
     # Mean motion: the error of the velocity is that of the position times it.
-    rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
+    rate, approach = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3), spec.arc.approach
+    if approach is not None:
+        rate = approach.speed_m_s / approach.range_m
     ways = rng.normal(size=(2, 3))
     # Random directions of a given length: the variance of a coordinate is a third of its square.
     ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)
@@ -120,16 +122,6 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     return truth, data
 
 
-def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
-    """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
-    forward = target_m - state[:3]
-    forward = forward / np.linalg.norm(forward)
-    # The part of the velocity across the boresight.
-    right = state[3:] - (state[3:] @ forward) * forward
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
-
-
 def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tuple[Pictures, IndexArray, BoolArray]:
     """Simulate the numbered sightings; also return the true crater of each, and which numbers are wrong.
 
@@ -148,7 +140,7 @@ def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tup
         rows = lit_and_seen(horizons, turns[i] @ state[:3], turns[i] @ world.sun_dir, spec)
         target = turns[i].T @ horizons.points_m[rows[int(aims[i] * len(rows))]] if len(rows) else np.zeros(3)
         # The camera is pointed by the reported attitude; the true one differs by the errors.
-        attitudes[i] = _pointed_at(state, target)
+        attitudes[i] = pointed_at(state, target)
         # Rows times R_body_inertial are its transpose times columns: body to inertial axes.
         inertial = horizons.points_m[rows] @ turns[i] - state[:3]
         uv = camera.project(inertial @ (R_true_reported[i] @ attitudes[i]).T)

@@ -25,7 +25,14 @@ _ANOMALY_DEGREES = (2, 3)  # of the density anomalies
 
 
 def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
-    """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements."""
+    """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements or those of an approach."""
+    angles = [arc.node_deg, arc.inclination_deg, arc.pericentre_deg]
+    # Rz(node) Rx(inclination) Rz(pericentre); capitals are rotations about the turned axes.
+    turn = Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix()
+    if arc.approach is not None:
+        # In the plane of the motion, x along the velocity.
+        position = np.array([-arc.approach.along_m, arc.approach.miss_m, 0.0])
+        return np.concatenate([turn @ position, turn @ [arc.approach.speed_m_s, 0.0, 0.0]])
     a, e, mean = arc.semi_major_axis_m, arc.eccentricity, np.radians(arc.anomaly_deg % 360.0)
     # Kepler's equation M = E - e sin E; the bracket holds E for all e < 1 and M in [0, 2 pi).
     eccentric = float(brentq(lambda x: x - e * np.sin(x) - mean, -1.0, 2.0 * np.pi + 1.0, xtol=1e-14))
@@ -33,9 +40,6 @@ def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
     # In the plane of the orbit, x to the pericentre.
     position = a * np.array([c - e, root * s, 0.0])
     velocity = np.sqrt(gm_m3_s2 / a) / (1.0 - e * c) * np.array([-s, root * c, 0.0])
-    angles = [arc.node_deg, arc.inclination_deg, arc.pericentre_deg]
-    # Rz(node) Rx(inclination) Rz(pericentre); capitals are rotations about the turned axes.
-    turn = Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix()
     return np.concatenate([turn @ position, turn @ velocity])
 
 
@@ -129,9 +133,23 @@ def imaging_of(world: OrbitWorld) -> ImagingSpec:
 
 
 def epochs_s(world: OrbitWorld) -> FloatArray:
-    """(I,) possible image times: centres of equal intervals of the arc."""
-    count = imaging_of(world).epochs
+    """(I,) possible image times: centres of equal intervals of the arc, or even steps of log range on an approach."""
+    count, arc = imaging_of(world).epochs, world.spec.arc
+    if arc.approach is not None:
+        ranges = np.geomspace(arc.approach.range_m, arc.ranges_m[0], count)
+        gone = arc.approach.along_m - np.sqrt(np.maximum(ranges**2 - arc.approach.miss_m**2, 0.0))
+        return np.asarray(np.clip(gone / arc.approach.speed_m_s, 0.0, arc.days * DAY_S))
     return (np.arange(count) + 0.5) / count * world.spec.arc.days * DAY_S
+
+
+def pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
+    """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
+    forward = target_m - state[:3]
+    forward = forward / np.linalg.norm(forward)
+    # The part of the velocity across the boresight.
+    right = state[3:] - (state[3:] @ forward) * forward
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
 
 
 def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> FloatArray:

@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel, deviation, optional
+from boresight.scenarios.spec.base import SpecModel, deviation, optional, rule
 from boresight.scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 from boresight.scenarios.spec.distribution import Direction
 
 
+class ApproachArcSpec(SpecModel):
+    """State at the epoch of a spacecraft that comes nearer; the angles of the arc turn the plane of its motion."""
+
+    range_m: float = Field(gt=0, description="Distance from the centre of mass at the epoch")
+    speed_m_s: float = Field(gt=0, description="Speed at the epoch")
+    miss_m: float = Field(gt=0, description="Distance at which a straight line would pass the centre of mass")
+
+    @rule
+    def _passes_nearer(self) -> None:
+        if self.miss_m >= self.range_m:
+            raise ValueError(f"miss_m: {self.miss_m:g} is not less than range_m, {self.range_m:g}")
+
+    @property
+    def along_m(self) -> float:
+        """Distance from the epoch to the closest approach along the straight line."""
+        return math.sqrt(self.range_m**2 - self.miss_m**2)
+
+
 class ArcSpec(SpecModel):
     """Keplerian orbit at the epoch, and length of the arc; inertial axes are the body axes at the epoch."""
+
+    approach: ApproachArcSpec | None = optional(
+        "An approach, in place of the semi-major axis, eccentricity and anomaly"
+    )
 
     semi_major_axis_m: float = Field(200_000.0, gt=0, description="NEAR's of March 2000 in Cheng et al. (2003)")
     eccentricity: float = Field(0.02, ge=0, lt=1, description="Eccentricity of the orbit")
@@ -22,6 +45,24 @@ class ArcSpec(SpecModel):
     anomaly_deg: float = Field(0.0, description="Mean anomaly at the epoch")
     days: float = Field(20.5, gt=0, le=365, description="Length of the arc with data")
     predicted_days: float = Field(3.0, ge=0, le=60, description="Length of the prediction after the arc")
+
+    @rule
+    def _ends_before_closest_approach(self) -> None:
+        if self.approach is not None and 86_400.0 * self.days * self.approach.speed_m_s > self.approach.along_m:
+            raise ValueError(
+                f"days: {self.days:g} is later than the closest approach: give at most"
+                f" {self.approach.along_m / self.approach.speed_m_s / 86_400.0:.6g}"
+            )
+
+    @property
+    def ranges_m(self) -> tuple[float, float, float]:
+        """Shortest, typical and longest distance of the arc from the centre of mass, m; without gravity on approach."""
+        if self.approach is None:
+            axis_m = self.semi_major_axis_m
+            return axis_m * (1.0 - self.eccentricity), axis_m, axis_m * (1.0 + self.eccentricity)
+        left_m = self.approach.along_m - 86_400.0 * self.days * self.approach.speed_m_s
+        nearest_m = math.hypot(left_m, self.approach.miss_m)
+        return nearest_m, math.sqrt(nearest_m * self.approach.range_m), self.approach.range_m
 
 
 class AsteroidSpec(SpecModel):
@@ -93,7 +134,12 @@ class RadiometrySpec(SpecModel):
 class OrbitKnowledgeSpec(SpecModel):
     """Standard deviations of the a priori knowledge; errors are drawn once per trial."""
 
-    position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
+    position_m: float = Field(
+        1000.0,
+        gt=0,
+        description="Length of the error of the position at the epoch; that of the velocity is its product with the"
+        " mean motion, or on an approach with the speed over the range",
+    )
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Relative standard deviation of GM")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Relative standard deviation of the solar pressure")
     pole_sigma_deg: float = deviation(0.0, "the spin axis about each of two axes across it", ge=0, le=90)
@@ -107,7 +153,11 @@ class ImagingSpec(SpecModel):
     """Planned images in which craters are detected and matched, instead of numbered sightings."""
 
     epochs: int = Field(
-        240, ge=2, le=5000, description="Epochs at even steps over the arc; each has an image if lit ground is in view"
+        240,
+        ge=2,
+        le=5000,
+        description="Epochs at even steps over the arc, on an approach of the logarithm of the range; each has an image"
+        " if lit ground is in view",
     )
     detections: Literal["rendered", "drawn"] = Field(
         "rendered", description="Images of the scenario's craters, or rims of drawn ones projected by geometry"

@@ -364,7 +364,7 @@ class ScenarioSpec(SpecModel):
         elif self.crater_pairs is not None:
             range_m = self.crater_pairs.range_m
         elif self.orbit is not None:
-            range_m = self.orbit.arc.semi_major_axis_m
+            range_m = self.orbit.arc.ranges_m[1]
         else:
             return None
         return range_m / self.camera.camera().fx_px
