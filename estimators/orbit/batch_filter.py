@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import chdtri
 
 from boresight.estimators.options import Configured
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
@@ -47,6 +48,7 @@ _MAX_SCALES = 4
 _MAX_EDITS = 4
 _MAX_ATTEMPTS = 2
 _MIN_SIGHTINGS = 20
+_FALSE_REJECTION = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,15 +206,19 @@ class _Fit:
     @property
     def edited_share(self) -> float:
         """Return the share of all sightings that were edited."""
-        return 1.0 - len(self.arc.rows) / len(self.solution.kept)
+        return 1.0 - len(self.arc.rows) / len(self.solution.kept) if len(self.solution.kept) else 0.0
+
+    @property
+    def freedoms(self) -> int:
+        """Return the degrees of freedom, at least 1."""
+        measured, passes = self.arc.measured, self.adjusted.linear.passes
+        # Unknowns with a prior are as many as its equations, which the cost contains: only the landmarks count.
+        return max(2 * len(measured.image) + len(passes.residuals) - 3 * measured.count, 1)
 
     @property
     def chi_square(self) -> float:
         """Return the chi-square per degree of freedom."""
-        linear, measured = self.adjusted.linear, self.arc.measured
-        # Unknowns with a prior are as many as its equations, which the cost contains: only the landmarks count.
-        free = 2 * len(measured.image) + len(linear.passes.residuals) - 3 * measured.count
-        return 2.0 * linear.cost / max(free, 1)
+        return 2.0 * self.adjusted.linear.cost / self.freedoms
 
 
 class BatchFilter(Configured[OrbitOptions]):
@@ -221,6 +227,7 @@ class BatchFilter(Configured[OrbitOptions]):
     The unknowns are the state, forces, spin, camera mounting, attitudes and all craters. The arc grows step by step;
     numbers that two craters share are split, outliers are edited, and a solution that does not fit is rejected and
     tried again from the orbit found.
+    In approach-orbit an estimator of single images gives positions of the body's centre instead, which are not edited.
 
     Use it when
     -----------
@@ -249,7 +256,7 @@ class BatchFilter(Configured[OrbitOptions]):
     def determine(self, data: OrbitData) -> OrbitEstimate:
         """Determine the orbit; a rejected solution is the start of a second attempt, whose arc grows more slowly."""
         began = time.perf_counter()
-        if len(data.pictures.image) < _MIN_SIGHTINGS:
+        if data.fixes is None and len(data.pictures.image) < _MIN_SIGHTINGS:
             reason = f"{len(data.pictures.image)} sightings are too few: at least {_MIN_SIGHTINGS} are needed"
             return OrbitEstimate("failed", None, reason, seconds=time.perf_counter() - began)
         layout = ParameterLayout.of(data, self.options)
@@ -307,7 +314,7 @@ class BatchFilter(Configured[OrbitOptions]):
             steps += taken
             # Over the first arc the orbit is too inaccurate to decide that rays do not meet.
             if self.options.split and (until > ends[0] or until == end):
-                solution, found = arc.split(solution, _residual_scale(adjusted))
+                solution, found = arc.split(solution, _residual_scale(adjusted.linear.lengths))
                 splits += found
         arc = DataArc.until(data, layout, self.options, solution, end)
         solution, adjusted, taken = self._fit_robustly(arc, solution)
@@ -335,7 +342,7 @@ class BatchFilter(Configured[OrbitOptions]):
             robust = HuberLoss(self.options.huber_sigma, scale)
             solution, adjusted = arc.adjust(solution, robust, limits)
             steps += adjusted.steps
-            found = _residual_scale(adjusted)
+            found = _residual_scale(adjusted.linear.lengths)
             # The scale has decreased by less than 30 %: the weights would hardly change any more.
             if found > 0.7 * scale:
                 break
@@ -348,7 +355,9 @@ class BatchFilter(Configured[OrbitOptions]):
             return f"rejected: the adjustment did not converge in {self.options.iterations} steps"
         if fit.edited_share > self.options.edited_max:
             return f"rejected: {100.0 * fit.edited_share:.3g} % of the sightings do not agree with the solution"
-        if fit.chi_square > self.options.chi_square_max:
+        # Of few fixes chance alone exceeds the limit.
+        chance = chdtri(fit.freedoms, _FALSE_REJECTION) / fit.freedoms if fit.arc.measured.fixes is not None else 0.0
+        if fit.chi_square > max(self.options.chi_square_max, chance):
             return f"rejected: the residuals are too large, chi-square {fit.chi_square:.3g} a degree of freedom"
         return ""
 
@@ -364,17 +373,16 @@ def _arc_ends(first_s: float, growth: float, last_s: float) -> list[float]:
     return [*ends[:-1], last_s]
 
 
-def _residual_scale(adjusted: GaussNewtonResult) -> float:
-    """Return the robust scale of the residuals in units of their sigmas; at least 1."""
-    return max(1.0, float(np.median(adjusted.linear.lengths)) / _RAYLEIGH_MEDIAN)
+def _residual_scale(lengths: FloatArray) -> float:
+    """Return the robust scale of residuals of these lengths (K,), in sigmas; at least 1."""
+    return max(1.0, float(np.median(lengths)) / _RAYLEIGH_MEDIAN) if len(lengths) else 1.0
 
 
 def _initial_scale(arc: DataArc, solution: BatchState) -> float:
     """Return the same scale before the first step."""
     unknowns = arc.unknowns(solution)
     residuals = arc.model.sightings(unknowns, arc.model.propagate(unknowns.x)).residuals
-    lengths = np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px
-    return max(1.0, float(np.median(lengths)) / _RAYLEIGH_MEDIAN)
+    return _residual_scale(np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px)
 
 
 def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> tuple[FloatArray, FloatArray]:
@@ -423,11 +431,13 @@ def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
 def _diagnostics(layout: ParameterLayout, fit: _Fit) -> dict[str, float]:
     x, linear = fit.solution.x, fit.adjusted.linear
     added = dict(zip(layout.forces.tolist(), layout.force_sigma[layout.forces] * x[layout.part("forces")], strict=True))
-    passes, sightings = linear.passes.residuals, linear.sightings.residuals
+    sightings, tracking = linear.sightings.residuals, linear.passes
+    passes, fixed = np.split(tracking.residuals, [len(tracking.residuals) - tracking.fixes])
     return {
         "chi_square_per_freedom": fit.chi_square,
         "residual_rms_px": float(np.sqrt(np.mean(sightings**2))) if len(sightings) else 0.0,
         "radiometric_rms_sigma": float(np.sqrt(np.mean(passes**2))) if len(passes) else 0.0,
+        **({"fix_rms_sigma": float(np.sqrt(np.mean(fixed**2)))} if len(fixed) else {}),
         "edited_share": fit.edited_share,
         "split_numbers": float(fit.splits),
         "landmarks": float(fit.arc.measured.count),

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 from boresight.estimators.orbit.parameters import ParameterLayout
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.dynamics.propagation import OrbitPartials, propagate_partials
-from boresight.scenarios.orbits.data import OrbitData, Radiometry
+from boresight.scenarios.geometry.pose import cross_matrix
+from boresight.scenarios.orbits.data import OrbitData, PositionFixes, Radiometry
 
 _NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers
 _FLIGHTS_KEPT = 2
+_MEASURED = 1e-12  # of the largest information of a fix: directions with less are not measured
 _SPIN_STEP = 0.1  # of an unknown of the spin, in its sigma, for differences
 
 
@@ -44,6 +46,7 @@ class Measurements:
     sigma_px: FloatArray
     count: int
     radiometry: Radiometry | None
+    fixes: PositionFixes | None = None
 
     @cached_property
     def begin(self) -> IndexArray:
@@ -78,10 +81,14 @@ class SightingResiduals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingResiduals:
-    """Residuals of ranges and range rates in sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
+    """Residuals of ranges, range rates and fixes in sigmas, (M,), and derivatives of the prediction by ``x``, (M, n).
+
+    The last ``fixes`` of them are those of fixes.
+    """
 
     residuals: FloatArray
     by_shared: FloatArray
+    fixes: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +172,36 @@ class MeasurementModel:
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
         return np.asarray(_tilt_rotations(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
+    def tracking(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
+        """Predict what does not depend on landmarks: ranges and range rates, then fixes."""
+        passes = self.passes(x, flown)
+        if self.measured.fixes is None:
+            return passes
+        fixed = self.fixed(x, flown)
+        residuals = np.r_[passes.residuals, fixed.residuals]
+        return TrackingResiduals(residuals, np.vstack([passes.by_shared, fixed.by_shared]), len(fixed.residuals))
+
+    def fixed(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
+        """Predict the measured positions of the body's centre of mass: those directions that are measured.
+
+        The error of each attitude is part of the noise of its fix, and no unknown.
+        """
+        layout, measured, found = self.layout, self.measured, measured_directions(self.measured, self.layout)
+        epochs = measured.image_epoch[found.image]
+        mounting = Rotation.from_rotvec(layout.mounting(x)).as_matrix()
+        turns = mounting @ measured.R_cam_inertial[found.image]
+        centre_m = -np.einsum("kij,kj->ki", turns, flown.states[epochs, :3])
+        by_shared = -turns @ state_derivatives(layout, x, flown, slice(0, 3))[epochs]
+        # A rotation w of the mounting, on the left, moves p by w x p.
+        part, known = layout.part("mounting"), layout.knowledge
+        if part.stop > part.start:
+            by_shared[:, :, part] -= known.misalignment_sigma_rad * cross_matrix(centre_m)
+        # A longer focal length shows the body larger and farther off the axis, as from a smaller depth.
+        by_shared[:, 2, layout.part("focal")] -= known.focal_sigma * centre_m[:, 2:]
+        centre_m[:, 2] /= 1.0 + layout.focal(x)
+        residuals = np.einsum("ki,ki->k", found.rows, found.position_cam_m - centre_m)
+        return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
+
     def passes(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
         """Predict ranges and range rates."""
         layout, radio = self.layout, self.measured.radiometry
@@ -185,6 +222,32 @@ class MeasurementModel:
         # Passes without a range or a rate hold NaN.
         there = np.isfinite(residuals)
         return TrackingResiduals(residuals[there], by[there])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredDirections:
+    """Fixes as M scalars of variance 1: ``rows`` (M, 3), 1/m, times the position (M, 3), m, in the ``image`` (M,)."""
+
+    image: IndexArray
+    position_cam_m: FloatArray
+    rows: FloatArray
+
+
+def measured_directions(measured: Measurements, layout: ParameterLayout) -> MeasuredDirections:
+    """Whiten the directions that fixes measure, with the error of the attitude of each image."""
+    fixes, rows, fix = measured.fixes, [np.zeros((0, 3))], []
+    if fixes is None:
+        raise ValueError("there are no fixes")
+    attitude = layout.knowledge.attitude_sigma_rad * cross_matrix(fixes.position_cam_m)
+    for i, (information, turned) in enumerate(zip(fixes.information, attitude, strict=True)):
+        values, vectors = np.linalg.eigh(information)
+        told = values > _MEASURED * max(values[-1], 0.0)
+        across = vectors[:, told].T
+        noise = np.diag(1.0 / values[told]) + across @ turned @ turned.T @ across.T
+        rows.append(np.linalg.solve(np.linalg.cholesky(noise), across))
+        fix += [i] * int(told.sum())
+    chosen = np.array(fix, dtype=np.int64)
+    return MeasuredDirections(fixes.image[chosen], fixes.position_cam_m[chosen], np.concatenate(rows))
 
 
 def _tilt_rotations(tilts: FloatArray) -> FloatArray:
@@ -255,7 +318,12 @@ def measurements_until(
         radio = replace(
             radio, times_s=radio.times_s[:n], range_m=radio.range_m[:n], range_rate_m_s=radio.range_rate_m_s[:n]
         )
-    times = pictures.times_s[:images]
+    times, fixes = pictures.times_s[:images], data.fixes
+    if fixes is not None:
+        n = int(np.searchsorted(fixes.image, images))
+        fixes = replace(
+            fixes, image=fixes.image[:n], position_cam_m=fixes.position_cam_m[:n], information=fixes.information[:n]
+        )
     return (
         Measurements(
             times_s=times,
@@ -267,6 +335,7 @@ def measurements_until(
             sigma_px=np.hypot(known.noise_px, known.attitude_sigma_rad * off_axis / np.sqrt(2.0)),
             count=int(numbering.max(initial=-1)) + 1,
             radiometry=radio,
+            fixes=fixes,
         ),
         rows,
     )

@@ -109,7 +109,7 @@ class GaussNewtonResult:
 def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss) -> Linearisation:
     """Compute residuals, derivatives and cost; raise OrbitLostError if the orbit hits the body."""
     flown = model.propagate(unknowns.x)
-    sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
+    sightings, passes = model.sightings(unknowns, flown), model.tracking(unknowns.x, flown)
     lengths = np.linalg.norm(sightings.residuals, axis=1) / model.measured.sigma_px
     known = model.layout.knowledge
     # A landmark behind the camera costs as much as a residual of 10 000 sigma: steps that put one there are refused as

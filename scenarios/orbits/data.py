@@ -81,6 +81,32 @@ class LandmarkFile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PositionFixes:
+    """Positions of the body's centre of mass, measured in F images, of which each has one at most.
+
+    ``image`` (F,) are rows of the times of the pictures, ascending. ``position_cam_m`` (F, 3) are in the axes of the
+    camera and ``information`` (F, 3, 3), 1/m^2, is the inverse of the covariance of their errors, without those of the
+    camera's attitude and focal length. It is singular where a direction, such as that of the range, is not measured.
+    """
+
+    image: IndexArray
+    position_cam_m: FloatArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.image)
+        if self.position_cam_m.shape != (n, 3) or self.information.shape != (n, 3, 3):
+            raise BoresightError(
+                f"fixes: {n} images do not go with positions {self.position_cam_m.shape}"
+                f" and information {self.information.shape}"
+            )
+        if not (np.isfinite(self.position_cam_m).all() and np.isfinite(self.information).all()):
+            raise BoresightError("fixes: positions and information must be finite numbers")
+        if np.any(np.diff(self.image) <= 0):
+            raise BoresightError("fixes: images must ascend: each has one fix at most")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Radiometry:
     """N range and Doppler records along a fixed direction, times ascending; either may be NaN (missing).
 
@@ -149,7 +175,7 @@ class Knowledge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitData:
-    """All input of an orbit determination; ``radiometry`` is None without such data.
+    """All input of an orbit determination; ``radiometry`` and ``fixes`` are None without such data.
 
     Every number in ``pictures`` occurs in ``landmarks``. ``wanted_s`` (E,) are the requested times of the orbit,
     ascending from 0; times after the last image are predictions.
@@ -160,11 +186,15 @@ class OrbitData:
     landmarks: LandmarkFile
     radiometry: Radiometry | None
     wanted_s: FloatArray
+    fixes: PositionFixes | None = None
 
     def __post_init__(self) -> None:
         unknown = np.setdiff1d(self.pictures.landmark, self.landmarks.numbers)
         if len(unknown):
             raise BoresightError(f"landmarks: number {unknown[0]} is seen in a picture, but has no position")
+        images = len(self.pictures.times_s)
+        if self.fixes is not None and not np.all((self.fixes.image >= 0) & (self.fixes.image < images)):
+            raise BoresightError(f"fixes: images {self.fixes.image.tolist()} are not all of {images} pictures")
         times = [self.wanted_s, self.pictures.times_s]
         times += [] if self.radiometry is None else [self.radiometry.times_s]
         if any(len(some) and some[0] < 0.0 for some in times) or np.any(np.diff(self.wanted_s) < 0.0):

@@ -127,11 +127,11 @@ def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
     """Return the orbit section of a scenario; refuse a missing one, and an orbit that begins in the body."""
     section = _section(scenario)
     reach = load_body(scenario.spec.body, scenario.search_dirs).mesh.radius_m
-    nearest = section.arc.semi_major_axis_m * (1.0 - section.arc.eccentricity)
+    nearest = section.arc.ranges_m[0]
     if nearest <= reach:
         raise BoresightError(
             f"{scenario.path}: orbit.arc: its pericentre at {nearest:g} m is not above the body, which reaches"
-            f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m"
+            f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m, or on an approach fewer days"
         )
     return section
 
@@ -301,9 +301,11 @@ def orbit_summary(estimate: OrbitEstimate, orbit: Orbit, truth: OrbitTruth, data
         "arc_nees": _over(None if None in weighted else float(np.mean(np.array(weighted, dtype=np.float64))), _AXES),
         "predicted_error_m": float(errors[-1]) if not arc[-1] else None,
         "predicted_sigma_m": float(sigma) if not arc[-1] else None,
-        "residual_rms_px": float(np.sqrt(np.mean(placed**2))),
-        "wrong_left_share": float((wrong & orbit.used).sum() / max(int(orbit.used.sum()), 1)),
-        "right_edited_share": float((~wrong & ~orbit.used).sum() / max(int((~wrong).sum()), 1)),
+        "residual_rms_px": float(np.sqrt(np.mean(placed**2))) if len(placed) else None,
+        "wrong_left_share": float((wrong & orbit.used).sum() / max(int(orbit.used.sum()), 1)) if len(wrong) else None,
+        "right_edited_share": (
+            float((~wrong & ~orbit.used).sum() / max(int((~wrong).sum()), 1)) if len(wrong) else None
+        ),
         "gm_error": float(gm),
         "solar_pressure_error": light / _length(truth.light_m_s2) - 1.0 if truth.light_m_s2.any() else None,
     }

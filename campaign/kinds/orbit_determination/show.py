@@ -122,6 +122,8 @@ def image_sets(
     hits = grouped.size().reindex(every).fillna(0).to_numpy()
     used = grouped["used"].sum().reindex(every).fillna(0).to_numpy()
     residual = np.sqrt(grouped["square"].mean().reindex(every).to_numpy(dtype=np.float64))
+    if (fixes := shown.observation.fixes) is not None:
+        used = used + np.isin(every, fixes.image)
     texts = np.array(
         [
             f"trial {case.trial}, image {i}<br>day {times[i] / DAY_S:.3g}, {np.linalg.norm(places[i]):.4g} m away"
@@ -152,6 +154,15 @@ def draw_orbit_case(again: Recomputed) -> CaseFigures:
             " the root of its trace. Right of the grey line no image is taken.",
             "Components of the error and its length over days.",
         ),
+        *([] if residuals.empty else sighting_figures(residuals, what)),
+    ]
+    rejected = shown.estimate.status == "failed"
+    return CaseFigures(figures, notes=[f"The solution was rejected: {shown.estimate.reason}."] if rejected else [])
+
+
+def sighting_figures(residuals: pd.DataFrame, what: str) -> list[NamedFigure]:
+    """Draw the residuals of sightings: those that were used, and all of them in classes."""
+    return [
         NamedFigure(
             "residuals",
             draw_residuals(residuals, what),
@@ -166,8 +177,6 @@ def draw_orbit_case(again: Recomputed) -> CaseFigures:
             "A scatter of residuals in four classes.",
         ),
     ]
-    rejected = shown.estimate.status == "failed"
-    return CaseFigures(figures, notes=[f"The solution was rejected: {shown.estimate.reason}."] if rejected else [])
 
 
 def kept(shown: DeterminedOrbit) -> CaseFiles:

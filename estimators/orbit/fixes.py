@@ -1,0 +1,157 @@
+"""Orbit determination on an approach, from positions that an estimator of single images measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from boresight.estimators.contract import Estimate
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.scenarios.arrays import FloatArray, Image, IndexArray
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry.pose import cross_matrix
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, PositionFixes, Radiometry
+
+_LEAST_GAIN = 0.1
+"""Share of the prior's variance by which an estimate reduces it in a direction, at least, to be a measurement of it."""
+_LEAST_FIXES = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ApproachTask:
+    """What is known of an approach besides its images.
+
+    The images (I) have times (I,), ascending, s, and reported attitudes (I, 3, 3). ``centre_of_mass_m`` (3,) is in the
+    axes of the shape, and ``sun_dir`` (3,) a unit vector towards the Sun, inertial axes. ``wanted_s`` (E,) are the
+    requested times of the orbit, s.
+    """
+
+    times_s: FloatArray
+    R_cam_inertial: FloatArray
+    knowledge: Knowledge
+    centre_of_mass_m: FloatArray
+    sun_dir: FloatArray
+    radiometry: Radiometry | None
+    wanted_s: FloatArray
+
+    def data(self, count: int, fixes: PositionFixes, wanted_s: FloatArray) -> OrbitData:
+        """Collect the data of the first ``count`` images, without landmarks, for an orbit at other times (E,)."""
+        none = np.zeros(0, dtype=np.int64)
+        pictures = Pictures(self.times_s[:count], self.R_cam_inertial[:count], none, none, np.zeros((0, 2)))
+        landmarks = LandmarkFile(none, np.zeros((0, 3)), np.zeros(0))
+        return OrbitData(self.knowledge, pictures, landmarks, self.radiometry, wanted_s, fixes)
+
+
+class ApproachNavigator:
+    """Determines the orbit image by image: the orbit by the images before is the prior of the next one."""
+
+    def __init__(self, task: ApproachTask, orbit: BatchFilter) -> None:
+        self._task, self._filter = task, orbit
+        self._fixes: list[tuple[int, FloatArray, FloatArray]] = []
+        self._failed = self._gated = 0
+        self._seconds = 0.0
+
+    def frame(self, number: int, image: Image) -> Frame | None:
+        """Add the prior to an image; None if the filter has no orbit.
+
+        The errors of the position and of the attitude are independent in the prior. An error of the attitude moves the
+        body in the image, which is part of the error of the position.
+        """
+        task, known = self._task, self._task.knowledge
+        time_s = float(task.times_s[number])
+        # Not at the times after this one: while the orbit is uncertain, it may lead into the body later.
+        found = self._filter.determine(task.data(number + 1, self._collected(), np.unique([0.0, time_s])))
+        orbit, self._seconds = found.orbit, self._seconds + found.seconds
+        if orbit is None:
+            return None
+        attitude = task.R_cam_inertial[number]
+        rotation = attitude @ known.field.rotation.at(np.array([time_s]))[0].T
+        centre_m = -attitude @ orbit.positions_m[-1]
+        turn_variance = known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2
+        across = cross_matrix(centre_m)
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = turn_variance * np.eye(3)
+        covariance[3:, 3:] = attitude @ orbit.position_covariances_m2[-1] @ attitude.T
+        covariance[3:, 3:] += turn_variance * across @ across.T
+        covariance = 0.5 * (covariance + covariance.T)
+        prior = Pose(rotation, centre_m - rotation @ task.centre_of_mass_m)
+        return Frame(image, attitude @ task.sun_dir, prior, covariance, time_s)
+
+    def add(self, number: int, frame: Frame, estimate: Estimate) -> None:
+        """Take what an estimate adds to the prior of an image as a fix, unless the two contradict each other."""
+        if estimate.status != "ok" or estimate.pose is None or estimate.covariance is None:
+            self._failed += 1
+            return
+        step_m = estimate.pose.translation_m - frame.prior_T_cam_body.translation_m
+        fix = measurement_of(frame.prior_covariance[3:, 3:], step_m, estimate.covariance[3:, 3:])
+        if fix is None:
+            self._failed += 1
+            return
+        moved_m, information, distance = fix
+        if distance > self._filter.options.edit_sigma:
+            self._gated += 1
+            return
+        prior = frame.prior_T_cam_body
+        centre_m = prior.translation_m + prior.rotation @ self._task.centre_of_mass_m
+        self._fixes.append((number, centre_m + moved_m, information))
+
+    def result(self) -> tuple[OrbitEstimate, OrbitData]:
+        """Determine the orbit of all images; also return the data that it rests on."""
+        count = len(self._task.times_s)
+        data = self._task.data(count, self._collected(), self._task.wanted_s)
+        told = {"fixes": len(self._fixes), "failed_images": self._failed, "gated_images": self._gated}
+        if len(self._fixes) < _LEAST_FIXES:
+            reason = f"{len(self._fixes)} of {count} images have a fix: at least {_LEAST_FIXES} are needed"
+            return OrbitEstimate("failed", None, reason, told, self._seconds), data
+        found = self._filter.determine(data)
+        seconds = self._seconds + found.seconds
+        return replace(found, diagnostics={**found.diagnostics, **told}, seconds=seconds), data
+
+    def _collected(self) -> PositionFixes:
+        rows: IndexArray = np.array([number for number, _, _ in self._fixes], dtype=np.int64)
+        positions = np.array([one for _, one, _ in self._fixes], dtype=np.float64).reshape(-1, 3)
+        information = np.array([one for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3, 3)
+        return PositionFixes(rows, positions, information)
+
+
+def measurement_of(
+    prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArray
+) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return the measurement that turned a prior into an estimate.
+
+    An estimate that moves the prior's position by ``step_m`` (3,) and changes its covariance (3, 3) from ``prior_m2``
+    to ``stated_m2`` is the prior with a linear measurement of the position: its information is the difference of the
+    inverse covariances. Directions whose variance falls by less than a tenth are left out, as they would be
+    differences of nearly equal numbers. The filter can so use the measurement without the prior, which rests on the
+    same data.
+
+    Returns
+    -------
+    moved_m : (3,)
+        Measured position less that of the prior, 0 in directions that are left out.
+    information : (3, 3)
+        Inverse of its covariance, 1/m^2, 0 in the same directions.
+    distance : float
+        Root mean square of the innovation in its standard deviations, prior and measurement together.
+
+    The result is None if no direction is measured, or if a covariance is not positive definite.
+    """
+    try:
+        root = np.linalg.cholesky(prior_m2)
+    except np.linalg.LinAlgError:
+        return None
+    whiten = np.linalg.inv(root)
+    left, axes = np.linalg.eigh(whiten @ stated_m2 @ whiten.T)
+    told = left < 1.0 - _LEAST_GAIN
+    if not told.any() or left[0] <= 0.0:
+        return None
+    left, axes = left[told], axes[:, told]
+    # In these axes the prior has variance 1, the measurement v = left / (1 - left), and the step is y / (1 + v).
+    innovation = axes.T @ whiten @ step_m / (1.0 - left)
+    towards = axes.T @ whiten
+    information = towards.T @ np.diag((1.0 - left) / left) @ towards
+    distance = float(np.sqrt(np.mean(innovation**2 * (1.0 - left))))
+    return root @ axes @ innovation, 0.5 * (information + information.T), distance
