@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,9 @@ LANDMARK_NUMBERS = (
     *("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2"),
 )
 """Columns of the details ``landmarks`` beside ``landmark``: corner, mean and covariance."""
+
+Drawn = TypeVar("Drawn")
+Answer = TypeVar("Answer")
 
 _RIGID = 1e-6
 _MOST_PX = 1e6
@@ -138,20 +141,8 @@ def _check_landmarks(table: Table) -> None:
         raise ValueError("details: landmarks: a covariance is singular") from None
 
 
-@dataclass(frozen=True, eq=False)
-class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
-    """Trials of estimators that refine the pose of one image; every one sees the same observation.
-
-    ``folder`` keeps the images of all trials; None to keep none.
-    """
-
-    name = "single-image"
-    version = 2
-    block_trials = 10
-    databases = True
-
-    world: World
-    folder: Path | None = None
+class ImageMethods(TrialRunner[Estimator, Drawn, Answer]):
+    """Trials of estimators of single images, with the products that these ask for."""
 
     @classmethod
     def method_version(cls, name: str) -> int:
@@ -161,11 +152,6 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     @classmethod
     def options_model(cls, name: str) -> type[SpecModel] | None:
         return model_of(estimator_class(name))
-
-    @classmethod
-    def check_scenario(cls, scenario: LoadedScenario) -> None:
-        """Refuse a scenario without images."""
-        check_views(scenario)
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
@@ -187,10 +173,10 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         return products
 
     @classmethod
-    def open(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    def opened(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int, **world: Any
     ) -> Self:
-        """Open the world and build the estimators."""
+        """Make the trials of a scenario in a world, with all estimators, built with the data bases of a number."""
         assets = BuiltAssets(scenario, context.run / "products", None, campaign.variant, None, campaign.draft, number)
         asked = {label: assets.for_database(number) for label in campaign.labels}
         return cls(
@@ -199,9 +185,43 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
                 entry.label: _method(entry, scenario, asked[entry.label]) for entry in cls.entries(campaign, scenario)
             },
             seed=campaign.seed,
+            database={label: number for label, one in asked.items() if one.depends_on_database},
+            **world,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SingleImage(ImageMethods[ImageDraw, Estimate]):
+    """Trials of estimators that refine the pose of one image; every one sees the same observation.
+
+    ``folder`` keeps the images of all trials; None to keep none.
+    """
+
+    name = "single-image"
+    version = 2
+    block_trials = 10
+    databases = True
+
+    world: World
+    folder: Path | None = None
+
+    @classmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without images."""
+        check_views(scenario)
+
+    @classmethod
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Open the world and build the estimators."""
+        return cls.opened(
+            campaign,
+            scenario,
+            context,
+            number,
             world=open_world(with_database_craters(scenario, number), campaign.variant),
             folder=context.image_folder(scenario.spec.name),
-            database={label: number for label, one in asked.items() if one.depends_on_database},
         )
 
     def flush(self) -> None:
