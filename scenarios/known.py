@@ -114,10 +114,12 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
     if spec.sequence is not None:
         real = () if spec.sequence.tracks is None else (REAL_TRACKS,)
         return Known(tuple(_of_sequences(spec.sequence)), real)
+    if spec.orbit is not None and experiment == "approach-orbit":
+        return Known((*_exacts("shape", "reflectance"), *_of_orbits(spec.orbit, "approach"), *_unmodelled(spec)))
     if spec.orbit is not None:
         rendered = spec.orbit.imaging is not None and spec.orbit.imaging.detections != "drawn"
         if experiment == "image-survey" or not rendered:
-            return Known(tuple(_of_orbits(spec.orbit, planning=experiment == "image-survey")))
+            return Known(tuple(_of_orbits(spec.orbit, "planning" if experiment == "image-survey" else "craters")))
         return Known((*_of_orbits(spec.orbit), *_nots("reflectance"), *_unmodelled(spec)), (THRESHOLDS,))
     if spec.crater_pairs is not None:
         known = (_shape(spec), *_exacts("camera", "Sun", "spin"), *_pose(spec), *_nots("rims"))
@@ -291,25 +293,30 @@ def _spin(pole_sigma_deg: float, rate_sigma: float) -> Item:
     return _wrong("spin", f"pole {pole_sigma_deg:g} deg" if pole_sigma_deg else "", rate)
 
 
-def _of_orbits(section: OrbitSpec, planning: bool = False) -> Iterator[Item]:
-    """Yield the knowledge of orbit filters and of the chain from images to an orbit, or of ``planning`` alone."""
+def _of_orbits(section: OrbitSpec, part: Literal["craters", "planning", "approach"] = "craters") -> Iterator[Item]:
+    """Yield the knowledge of orbit filters and of the chains from images to an orbit, or of planning alone."""
     known, pointing, imaging = section.knowledge, section.pointing, section.imaging
     yield _spin(known.pole_sigma_deg, known.spin_sigma)
-    yield from _exacts("centre of mass", "Sun and Earth", "law of the forces", "RMS error of the shape on board")
+    yield from _exacts("centre of mass", "Sun and Earth", "law of the forces")
+    if part != "approach":
+        yield from _exacts("RMS error of the shape on board")
     yield Item("orbit", "not", f"{known.position_m:g} m at the epoch")
     yield _wrong("GM", _share(known.gm_sigma))
     yield _wrong("solar pressure", _share(known.light_sigma))
     if section.light.noise_share:
         yield Item("accelerations that nothing models", "not", _share(section.light.noise_share, " of it"))
-    yield Item("shape", "not", f"harmonics of degree {known.shape_degree}")
+    if part != "approach":
+        yield Item("shape", "not", f"harmonics of degree {known.shape_degree}")
     yield Item("gravity", "not", "that of the shape on board")
     yield _item("camera", not pointing.focal_error, f"focal length to {_share(pointing.focal_error)}")
     yield Item("attitude", "not", f"{pointing.attitude_urad:g} microrad")
     yield _item("mounting of the camera", not pointing.misalignment_urad, f"{pointing.misalignment_urad:g} microrad")
-    if planning:
+    if part == "planning":
         return
     # The law of the sightings' errors is exact only if sightings are drawn from it.
     yield from _exacts("laws of all errors but those of sightings" if imaging else "laws of all errors")
+    if part == "approach":
+        return
     yield from _nots("places of the craters")
     if imaging is not None:
         yield Item("which crater is which", "not", "matched")

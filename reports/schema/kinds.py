@@ -449,6 +449,7 @@ _SURVEY = KindSchema(
 """Planned images."""
 
 SCHEMAS = {
+    "approach-orbit": replace(_ORBIT, databases_note=""),
     "crater-detection": _DETECTION,
     "crater-matching": _MATCHING,
     "crater-navigation": _NAVIGATION,

@@ -60,7 +60,7 @@ def test_a_run_keeps_the_grid_and_its_report_shows_it(file, tmp_path):
 
 
 SPECS = {name: load_campaign(name, CATALOG).spec for name in campaign_names()}
-WITHOUT_ONBOARD = {"sequence", "crater-matching", "orbit-determination", "crater-navigation"}
+WITHOUT_ONBOARD = {"sequence", "crater-matching", "orbit-determination", "crater-navigation", "approach-orbit"}
 # Of real images nobody knows all.
 WITHOUT_REFERENCE = {"approach-67p-real", "compare-navcam67p", "dawn-vesta-real", "dawn-vesta-survey-real"}
 GRIDS_OF_IMAGES = [

@@ -147,7 +147,7 @@ def test_every_kind_says_what_it_stores_and_what_is_known_on_board():
     assert set(SCHEMAS) == set(kind_names())
     sections = {"sequence": "apophis-sphere-sequence", "orbit-determination": "eros-like-orbit"}
     sections |= dict.fromkeys(("crater-navigation", "image-survey"), "eros-like-navigation")
-    sections["crater-matching"] = "eros-crater-pairs"
+    sections |= {"crater-matching": "eros-crater-pairs", "approach-orbit": "approach-orbit"}
     for name in kind_names():
         assert known_on_board(load_scenario(sections.get(name, "quickstart")).spec, name).items
     with pytest.raises(BoresightError, match="what is known on board in such trials"):

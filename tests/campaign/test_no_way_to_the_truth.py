@@ -231,6 +231,14 @@ seed: 5
     return write_campaign(folder, text, SCENE)
 
 
+def approaching(folder: Path) -> Path:
+    text = (
+        "experiment: approach-orbit\nscenarios: [approach-orbit]\nset: {orbit: {imaging: {epochs: 4}}}\n"
+        "estimators: [prior, centroid]\ntrials: 1\nseed: 5\n"
+    )
+    return write_campaign(folder, text, SCENE)
+
+
 def stored(name: str, folder: Path) -> Path:
     del folder
     return BEFORE_AFTER / f"{name}.yaml"
@@ -238,6 +246,7 @@ def stored(name: str, folder: Path) -> Path:
 
 CASES = {
     "single image": of_products,
+    "approach": approaching,
     "guided sequence": guided,
     "sequence": partial(stored, "sequence"),
     "detection": partial(stored, "detection"),

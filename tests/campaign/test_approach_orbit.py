@@ -1,0 +1,95 @@
+"""The orbit of an approach as a campaign: images, fixes and orbits of one trial, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from orbit_worlds import orbit_world
+from tiny_campaign import SCENE, run, write_campaign
+
+from boresight.campaign.cli import main
+from boresight.campaign.kinds.approach_orbit import ApproachOrbitTrials
+from boresight.campaign.runs.check import check_scenario
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.known import known_on_board
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.orbits.true_orbit import epochs_s, state_at_epoch
+
+NAMES = ("prior", "centroid", "limb")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("approach")
+    text = (
+        "title: T\nexperiment: approach-orbit\nscenarios: [approach-orbit]\n"
+        "set: {orbit: {imaging: {epochs: 8}}}\n"
+        f"estimators: [{', '.join(NAMES)}]\ntrials: 1\nseed: 5\n"
+    )
+    assert run(write_campaign(folder / "campaign", text, SCENE), folder / "run") == 0
+    return folder / "run"
+
+
+def test_each_estimator_feeds_an_orbit_of_its_own(out):
+    rows = pd.read_parquet(out / "rows").set_index("estimator")
+    assert rows["status"].to_dict() == {"prior": "failed", "centroid": "ok", "limb": "ok"}
+    assert rows.loc["prior", "reason"] == "0 of 8 images have a fix: at least 3 are needed"
+    assert rows.loc[["centroid", "limb"], "range_m"].tolist() == pytest.approx([1e6, 1e6])
+    told = pd.read_parquet(out / "diagnostics").pivot_table(index="estimator", columns="name", values="value")
+    assert told.loc["centroid", "fixes"] == 8
+    assert 3 <= told.loc["limb", "fixes"] == 8 - told.loc["limb", ["failed_images", "gated_images"]].sum() < 8
+    orbits = pd.read_parquet(out / "orbits").set_index("estimator")
+    # Of 10 km at the epoch, the limb leaves a hundredth of a hundredth at the closest approach.
+    assert orbits.loc["limb", "predicted_error_m"] < 20.0
+    assert orbits.loc["limb", "predicted_sigma_m"] < 0.5 * orbits.loc["centroid", "predicted_sigma_m"]
+    assert orbits[["residual_rms_px", "wrong_left_share"]].isna().all(axis=None)
+
+
+def test_it_is_reported_and_inspected(out):
+    assert main(["report", str(out)]) == 0
+    text = (out / "report" / "report.md").read_text()
+    assert "Orbit determination" in text
+    assert "world of craters" not in text
+    assert main(["inspect", str(out), "--trial", "0", "--estimator", "limb"]) == 0
+    found = json.loads(next(out.glob("inspect/*limb*/*.json")).read_text())
+    assert found
+
+
+def test_images_are_at_even_steps_of_the_logarithm_of_the_range():
+    loaded = load_scenario("approach-orbit", ("orbit.imaging.epochs=7",))
+    section = loaded.spec.orbit
+    state, times = state_at_epoch(section.arc, 0.0), epochs_s(replace(orbit_world(), spec=section))
+    ranges = np.linalg.norm(state[:3] + times[:, None] * state[3:], axis=1)
+    np.testing.assert_allclose(ranges, np.geomspace(1e6, section.arc.ranges_m[0], 7), rtol=1e-9)
+    assert section.arc.ranges_m[0] == pytest.approx(10_000.0, rel=1e-3)
+    assert np.linalg.norm(state[3:]) == pytest.approx(3.0)
+    # The impact parameter is the angular momentum over the speed.
+    assert np.linalg.norm(np.cross(state[:3], state[3:])) / 3.0 == pytest.approx(2000.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("orbit.arc.days=4",), "orbit.arc: days: 4 is later than the closest approach: give at most 3.858"),
+        (("orbit.arc.approach.miss_m=2e6",), "miss_m: 2e[+]06 is not less than range_m, 1e[+]06"),
+        (("orbit.imaging=null",), "orbit.imaging: missing, but the experiment approach-orbit needs it"),
+        (("orbit.arc.approach=null",), "orbit.arc.approach: missing, but the experiment approach-orbit needs it"),
+        (("orbit.arc.approach.miss_m=100", "orbit.arc.days=3.8579"), "is not above the body"),
+    ],
+)
+def test_what_is_no_approach_is_refused(changes, said):
+    with pytest.raises(BoresightError, match=said):
+        ApproachOrbitTrials.check_scenario(load_scenario("approach-orbit", changes))
+
+
+def test_the_scenario_suits_the_kind_and_says_what_is_known():
+    loaded = load_scenario("approach-orbit")
+    check_scenario(loaded, "approach-orbit")
+    known = known_on_board(loaded.spec, "approach-orbit")
+    assert {"shape", "reflectance"} <= {item.name for item in known.items if item.standing == "exactly"}
+    assert {"orbit", "attitude", "noise"} <= {item.name for item in known.items if item.standing == "not"}
+    assert not any("crater" in item.name for item in known.items)
