@@ -57,8 +57,8 @@ class ApproachNavigator:
     def frame(self, number: int, image: Image) -> Frame | None:
         """Add the prior to an image; None if the filter has no orbit.
 
-        The errors of the position and of the attitude are independent in the prior. An error of the attitude moves the
-        body in the image, which is part of the error of the position.
+        The errors of position and rotation are independent in the prior. The rotation has those of attitude, mounting
+        and spin. An error of attitude or mounting moves the body in the image, which is part of that of the position.
         """
         task, known = self._task, self._task.knowledge
         time_s = float(task.times_s[number])
@@ -73,7 +73,8 @@ class ApproachNavigator:
         turn_variance = known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2
         across = cross_matrix(centre_m)
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = turn_variance * np.eye(3)
+        spun_rad = known.spin_sigma * known.field.rotation.rate_rad_s * time_s
+        covariance[:3, :3] = (turn_variance + known.pole_sigma_rad**2 + spun_rad**2) * np.eye(3)
         covariance[3:, 3:] = attitude @ orbit.position_covariances_m2[-1] @ attitude.T
         covariance[3:, 3:] += turn_variance * across @ across.T
         covariance = 0.5 * (covariance + covariance.T)

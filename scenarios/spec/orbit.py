@@ -150,7 +150,7 @@ class OrbitKnowledgeSpec(SpecModel):
 
 
 class ImagingSpec(SpecModel):
-    """Planned images in which craters are detected and matched, instead of numbered sightings."""
+    """Images in which craters are detected and matched, or on an approach the body, instead of numbered sightings."""
 
     epochs: int = Field(
         240,

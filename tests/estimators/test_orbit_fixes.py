@@ -219,6 +219,20 @@ def test_priors_of_the_orbit_are_not_counted_twice():
     np.testing.assert_allclose(np.sqrt(np.diag(found.orbit.covariance)) / sigma, 1.0, atol=0.02)
 
 
+def test_the_prior_of_an_image_has_the_errors_of_attitude_and_spin():
+    attitudes, known, _ = drawn(4)
+    known = replace(known, pole_sigma_rad=2e-4, spin_sigma=1e-6)
+    frame = ApproachNavigator(task_of(attitudes, known), FILTER).frame(3, IMAGE)
+    spun = 1e-6 * known.field.rotation.rate_rad_s * FLOWN.times_s[3]
+    turned = ATTITUDE_RAD**2 + MOUNTING_RAD**2
+    np.testing.assert_allclose(frame.prior_covariance[:3, :3], (turned + 4e-8 + spun**2) * np.eye(3), rtol=1e-9)
+    # Before any image the velocity of the epoch leaves its error times the time, plus that of the position.
+    range_m = np.linalg.norm(frame.prior_T_cam_body.translation_m)
+    sigma2 = known.position_sigma_m**2 + (known.velocity_sigma_m_s * FLOWN.times_s[3]) ** 2
+    across = np.sort(np.linalg.eigvalsh(frame.prior_covariance[3:, 3:]))
+    np.testing.assert_allclose(across, sigma2 + np.array([0.0, 1.0, 1.0]) * turned * range_m**2, rtol=1e-2)
+
+
 def test_an_estimate_that_contradicts_its_prior_is_left_out():
     attitudes, known, fixes = drawn(4)
     found = navigated(attitudes, known, fixes, wrong=(8,))
