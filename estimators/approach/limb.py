@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from boresight.estimators.approach.body import LitBody, find_body, row_ends
+from boresight.estimators.approach.body import LitBody, find_body, row_ends, sphere_px
 from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
@@ -150,12 +150,12 @@ class LimbEstimator:
         frame, camera, clock = observation.frame, observation.camera, Stopwatch()
         prior = frame.prior_T_cam_body
         with clock("limb"):
-            size_px = 2.0 * self._radius_m / np.linalg.norm(prior.translation_m) / camera.pixel_angle_rad
-            body = find_body(frame, camera, float(size_px))
+            size_px = sphere_px(self._radius_m, prior, camera)
+            body = find_body(frame, camera, size_px)
             if isinstance(body, str):
                 return Estimate("failed", body, timings_s=clock.seconds)
             body = body.brighter(_LIMB_SHARE)
-            count = _ray_count(float(size_px))
+            count = _ray_count(size_px)
             scene = _Scene(frame, camera, ray_directions(count), self._outline.silhouette(prior), body)
             begun = self._scan(scene, self._place(scene))
             fit = None if begun is None else self._refine(scene, begun)
@@ -191,7 +191,7 @@ class LimbEstimator:
         """
         frame, camera = planned.frame, planned.camera
         pose = frame.prior_T_cam_body
-        count = _ray_count(2.0 * self._radius_m / float(np.linalg.norm(pose.translation_m)) / camera.pixel_angle_rad)
+        count = _ray_count(sphere_px(self._radius_m, pose, camera))
         plan = _Plan(frame, camera, ray_directions(count), self._outline.silhouette(pose))
         points = self._limb_at(plan, pose, camera.project(pose.translation_m))
         if points is None or len(points.ray) < self._options.points_min:
