@@ -47,7 +47,8 @@ def apophis(raw: Path) -> bytes:
 
     Raise BoresightError if the file is no OBJ or its faces enclose no volume.
     """
-    vertices, faces = read_shape(raw, "obj")
+    shape = read_shape(raw, "obj")
+    vertices, faces = shape.vertices, shape.faces
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     volumes = np.einsum("fi,fi->f", a, np.cross(b, c))  # six times those of the tetrahedra to the origin
     if not volumes.sum() > 0.0:

@@ -33,13 +33,15 @@ def checked_mesh(
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
     """Convert the vertices and faces of a file, in its ``unit`` m or km, to a valid mesh in metres, and notes about it.
 
+    A unit that the format prescribes has precedence.
+
     Repaired, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
     vertex, a closed mesh whose facets all face inward. Raise BoresightError for any other defect: the longest side of
     the body's box is outside ``expected_diameter_m``, the mesh is open or inconsistently wound, or the origin lies
     outside. ``where`` is the file, for messages.
     """
-    vertices, faces, notes = _repaired(shape.vertices * METRES[unit], shape.faces)
-    _check_extent(vertices, where, unit, expected_diameter_m)
+    vertices, faces, notes = _repaired(shape.vertices * METRES[shape.unit or unit], shape.faces)
+    _check_extent(vertices, where, shape.unit, unit, expected_diameter_m)
     _check_closed(faces, where)
     mesh = TriangleMesh(vertices, faces.astype(np.int32))
     # The winding is consistent here, so that the sign of the volume distinguishes outward from inward facets.
@@ -74,7 +76,9 @@ def _repaired(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, Inde
     return vertices, faces, notes
 
 
-def _check_extent(vertices_m: FloatArray, where: Path, unit: str, expected_m: tuple[float, float]) -> None:
+def _check_extent(
+    vertices_m: FloatArray, where: Path, prescribed: str | None, unit: str, expected_m: tuple[float, float]
+) -> None:
     extent = np.ptp(vertices_m, axis=0) if len(vertices_m) else np.zeros(3)
     low, high = expected_m
     longest = float(extent.max())
@@ -84,6 +88,8 @@ def _check_extent(vertices_m: FloatArray, where: Path, unit: str, expected_m: tu
     fits = low <= longest * METRES[other] / METRES[unit] <= high
     hint = f"is the file in {other}? set body.unit: {other}" if fits else "check body.unit and body.expected_diameter_m"
     size = " x ".join(f"{side:.4g}" for side in extent)
+    if prescribed:
+        unit, hint = prescribed, "this format has no other unit: check body.expected_diameter_m"
     raise BoresightError(
         f"{where}: with body.unit {unit} the body is {size} m,"
         f" outside body.expected_diameter_m [{low:g}, {high:g}]; {hint}"

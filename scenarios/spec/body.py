@@ -122,8 +122,8 @@ class BodySpec(SpecModel):
     """A shape file (in the scenario's folder or under BORESIGHT_DATA), or an embedded body by name."""
 
     shape: str = Field("contact-binary", description="A file name, or an embedded body: contact-binary")
-    unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the shape file")
-    format: Literal["auto", "obj", "ply", "pds-plates", "pds-grid", "icq"] = Field(
+    unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the shape file; dsk files are in km")
+    format: Literal["auto", "obj", "ply", "pds-plates", "pds-grid", "icq", "dsk"] = Field(
         "auto", description="Format of the shape file; auto goes by its content and suffix"
     )
     longitude: Literal["east", "west"] = Field("east", description="Direction of longitudes in a pds-grid file")

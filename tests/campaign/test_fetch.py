@@ -289,7 +289,7 @@ def test_apophis_is_scaled_to_its_volume_about_its_centre(tmp_path):
     """A tetrahedron has a sixth of the volume of its edges' box, and its centre at the mean of its corners."""
     (tmp_path / "raw.obj").write_bytes(TETRAHEDRON)
     (tmp_path / "scaled.obj").write_bytes(apophis(tmp_path / "raw.obj"))
-    vertices, faces = read_shape(tmp_path / "scaled.obj", "obj")
+    vertices, faces, _ = read_shape(tmp_path / "scaled.obj", "obj")
     scale = 0.375 / (6.0 / np.pi * 1.0) ** (1.0 / 3.0)
     raw = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]])
     np.testing.assert_allclose(vertices, (raw - raw.mean(axis=0)) * scale, atol=6e-8)

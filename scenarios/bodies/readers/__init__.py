@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from boresight.scenarios.bodies.readers.dsk import DSK_HEAD, read_dsk
 from boresight.scenarios.bodies.readers.meshfile import read_obj, read_ply
 from boresight.scenarios.bodies.readers.pds import read_grid, read_icq, read_plates
 from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
@@ -23,6 +24,7 @@ READERS: Mapping[str, Callable[[ShapeFile], RawShape]] = MappingProxyType(
         "pds-grid": lambda source: read_grid(source, west=False),
         "pds-grid-west": lambda source: read_grid(source, west=True),
         "icq": read_icq,
+        "dsk": read_dsk,
     }
 )
 _SNIFFED_BYTES = 4096
@@ -50,6 +52,8 @@ def detect_format(source: ShapeFile) -> str:
     suffix = source.path.suffix.lower()
     if head.startswith(b"ply"):
         return "ply"
+    if head.startswith(DSK_HEAD) or suffix == ".bds":
+        return "dsk"
     if suffix in (".obj", ".icq", ".ply"):
         return suffix[1:]
     rows = [line.split() for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
@@ -60,6 +64,6 @@ def detect_format(source: ShapeFile) -> str:
     by_widths = {(1, 3): "icq", (1, 4): "pds-plates", (3, 3): "pds-grid"}
     if tuple(widths) not in by_widths:
         raise source.fault(
-            "cannot tell the format of this shape; set body.format to one of obj, ply, pds-plates, pds-grid, icq"
+            "cannot tell the format of this shape; set body.format to one of obj, ply, pds-plates, pds-grid, icq, dsk"
         )
     return by_widths[widths[0], widths[1]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,14 @@ from boresight.scenarios.reading import LARGEST_NUMBER
 
 
 class RawShape(NamedTuple):
-    """Vertices (V, 3), body frame in the unit of the file, and faces (F, 3), from 0, before any check of the mesh."""
+    """Vertices (V, 3), body frame in the unit of the file, and faces (F, 3), from 0, before any check of the mesh.
+
+    ``unit`` is the one that the format prescribes, None if it prescribes none.
+    """
 
     vertices: FloatArray
     faces: IndexArray
+    unit: Literal["km"] | None = None
 
 
 class ShapeFile:
