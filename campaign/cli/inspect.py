@@ -10,6 +10,7 @@ from rich.progress import track
 from boresight.campaign.cli.main import WORST
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.export import export
+from boresight.campaign.export.kernels import Origin
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case
 from boresight.campaign.inspection.recompute import ORDER, Case, Choice, chosen_rows, named_cases, reopened, worst_cases
@@ -76,8 +77,11 @@ def export_command(arguments: argparse.Namespace) -> int:
         printer.print(f"working out {len(cases)} trials again, for what the run does not hold of them")
         return track(cases, "trials", console=printer, disable=not printer.is_terminal)
 
+    given = {"body": arguments.body_id, "et": arguments.start_et}
+    given = {key: value for key, value in given.items() if value is not None}
+    origin = Origin(**given) if given else None
     with writing(arguments.out):
-        written = export(find_run(arguments.run), arguments.to, choice, arguments.trial, arguments.out, shown)
+        written = export(find_run(arguments.run), arguments.to, choice, arguments.trial, arguments.out, shown, origin)
     if not written:
         raise BoresightError(f"{arguments.run}: nothing to export: no chosen trial has an estimate")
     more = ", ..." if len(written) > 6 else ""

@@ -64,6 +64,9 @@ _NOT_NEGATIVE = _number(int, lambda value: value >= 0, "is below 0")
 _SHARE = _number(float, lambda value: 0.0 < value <= 1.0, "is not above 0 and 1 at most")
 _ANGLE_DEG = _number(float, lambda value: -360.0 <= value <= 360.0, "is not from -360 to 360")
 
+_EPOCH_S = _number(float, lambda value: abs(value) <= 1e11, "is not from -1e11 to 1e11")
+_NAIF_ID = _number(int, lambda value: 0 < abs(value) < 2**31, "is no number of NAIF")
+
 _RUN = _a("run", "a run folder, or a campaign's name")
 _SCENARIO = _a("--scenario", "of this scenario alone")
 _JOBS = _a("--jobs", "worker processes (default: one for each core, or GPU)", _POSITIVE)
@@ -143,8 +146,13 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
     ),
     "export": ("inspect:export_command", "write trajectories, landmarks or tables of a run for other programs",
         _RUN,
-        _a("--to", "tum: trajectories, truth and estimate; colmap: estimated poses, landmarks; csv, parquet: stored"
-           " tables; latex: tables of the report", required=True, choices=("tum", "colmap", "csv", "parquet", "latex")),
+        _a("--to", "tum: trajectories, truth and estimate; spice: the same as SPK and CK; colmap: estimated poses,"
+           " landmarks; sum: estimated poses of single images; csv, parquet: stored tables; latex: tables of the"
+           " report", required=True, choices=("tum", "spice", "colmap", "sum", "csv", "parquet", "latex")),
+        _a("--body-id", "with --to spice: NAIF identifier of the body (default: one that no body has)", _NAIF_ID,
+           metavar="ID"),
+        _a("--start-et", "with --to spice: ET at the time 0 of the run, s past J2000 TDB (default: 0)", _EPOCH_S,
+           metavar="SECONDS"),
         _a("--trial", "these trials alone", _NOT_NEGATIVE, nargs="+", metavar="N"),
         _SCENARIO,
         _a("--estimator", "of this estimator alone"),

@@ -40,7 +40,8 @@ class PosedFrame:
 
     The world frame is the body frame for single images; for sequences it is inertial in a trajectory and the believed
     body frame in a model. ``landmarks`` (n,) are the numbers of the observed landmarks, ``uv_px`` (n, 2) their
-    positions.
+    positions. ``sun_dir_cam`` (3,) is the unit vector to the Sun, and ``covariance`` (6, 6) that of the estimate,
+    [rotation_rad, translation_m] in camera axes; None if unknown.
     """
 
     name: str
@@ -49,6 +50,23 @@ class PosedFrame:
     estimated: Pose
     landmarks: IndexArray
     uv_px: FloatArray
+    sun_dir_cam: FloatArray | None = None
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """Motion of a camera in inertial axes about a body's centre.
+
+    Positions (n, 3), and velocities or None if unknown, are at ``times_s`` (n,), which ascend. ``R_cam_inertial``
+    (k, 3, 3) are at ``attitude_times_s`` (k,).
+    """
+
+    times_s: FloatArray
+    positions_m: FloatArray
+    velocities_m_s: FloatArray | None
+    attitude_times_s: FloatArray
+    R_cam_inertial: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +121,8 @@ class Show:
 
     ``draw`` draws a recomputed case whose `InspectedTrial` is known, ``kept`` returns the files to write of that trial,
     and ``posed`` its camera poses in body axes. ``trajectory`` returns the trajectory of a stored case without running
-    an estimator; None if ``posed`` gives it. ``pooled`` says whether the poses of all trials refer to the same fixed
+    an estimator; None if ``posed`` gives it. ``flights`` returns truth and estimate of an orbit, by these names; none
+    if there is no solution. ``pooled`` says whether the poses of all trials refer to the same fixed
     body, and form one model. ``look`` collects the three-dimensional view of a run, ``examples`` draws typical trials
     for its report. ``long`` says whether recomputing a case of a campaign takes minutes.
     """
@@ -114,6 +133,7 @@ class Show:
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[Any, Case], PosedFrames] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
+    flights: Callable[[Any], Mapping[str, Flight]] | None = None
     pooled: bool = False
     long: Callable[[ResolvedCampaign], bool] = lambda campaign: False
 

@@ -1,7 +1,7 @@
 """SUM files of stereophotoclinometry (SPC, R. Gaskell): camera, pose, Sun and epoch of one image.
 
-The second line is the epoch. Each later line ends with the name of what it holds; others, landmarks among them, are not
-read:
+The second line is the epoch. Each later line ends with the name of what it holds; others, landmarks among them, are
+written and not read:
 
 ================= =================================================================================
 NPX, NLN, THRSH   samples and lines of the image; thresholds of brightness
@@ -11,6 +11,8 @@ CX, CY, CZ        axes of the camera in body axes, right-handed, CZ along the bo
 SZ                unit vector to the Sun, body axes
 K-MATRIX          K in rows of three, pixels a mm: (a, 0, 0), (0, b, 0)
 DISTORTION        four coefficients of NEAR's camera, zero for others
+SIGMA_VSO         standard deviations of the components of SCOBJ, km; 0 if unknown
+SIGMA_PTG         standard deviations of the rotation about CX, CY and CZ, rad; 0 if unknown
 ================= =================================================================================
 
 A point at X, Y, Z along CX, CY, CZ from the spacecraft is in sample and line CTR + MMFL K (X/Z, Y/Z). The centre of the
@@ -24,8 +26,9 @@ does not tell: with facets of 48 pixels, the best shift depends on the reflectan
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +46,8 @@ _AXES_TOLERANCE = 1e-6  # the file of Bennu is within 1e-11; others may have few
 _SUN_TOLERANCE = 1e-3
 _MOST_BYTES = 1 << 24
 _J2000 = datetime(2000, 1, 1, 12)
+_PIXELS_A_MM = 10.0  # of written files: SUM files divide the focal length in pixels by the pitch
+_WIDTH = 62
 _FORMATS = ("%Y %b %d %H:%M:%S.%f", "%Y %b %d %H:%M:%S")
 
 
@@ -159,3 +164,50 @@ def _time_s(path: Path, text: str) -> float:
         except ValueError:
             continue
     raise BoresightError(f"{path}: line 2: {text.strip()!r} is not a time such as 2019 MAR 14 19:01:23.961")
+
+
+def sumfile_text(
+    name: str,
+    content: Sumfile,
+    sigma_km_rad: FloatArray | None = None,
+    landmarks_px: Mapping[int, FloatArray] | None = None,
+) -> str:
+    """Return a SUM file of an image, in the columns of SPC.
+
+    ``name`` is that of the image. ``sigma_km_rad`` (6,) are SIGMA_VSO and SIGMA_PTG. ``landmarks_px`` are the pixels
+    (2,) of landmarks by their numbers, which become names of six digits. Numbers have 11 significant digits, the ratio
+    of the focal lengths 6 decimals, landmarks 2, the epoch milliseconds. Raise BoresightError if the epoch is not one
+    of the calendar.
+    """
+    camera, pose = content.camera, content.T_cam_body
+    try:
+        epoch = _J2000 + timedelta(milliseconds=round(1e3 * content.time_s))
+    except OverflowError as error:
+        raise BoresightError(f"{name}: {content.time_s:g} s after J2000 is no time of a SUM file") from error
+    size = f"{camera.width_px:6d}{camera.height_px:6d}{0:6d}{65535:6d}"
+    ratio = _PIXELS_A_MM * camera.fy_px / camera.fx_px
+    sigma = np.zeros(6) if sigma_km_rad is None else sigma_km_rad
+    centre = camera.cx_px + 0.5, camera.cy_px + 0.5
+    lines = [
+        name,
+        f"{epoch:%Y %b %d %H:%M:%S}.{epoch.microsecond // 1000:03d}".upper(),
+        f"{size:{_WIDTH}}NPX, NLN, THRSH",
+        _line("MMFL, CTR", (camera.fx_px / _PIXELS_A_MM, *centre)),
+        _line("SCOBJ", 1e-3 * pose.rotation.T @ pose.translation_m),
+        *(_line(axis, row) for axis, row in zip(("CX", "CY", "CZ"), pose.rotation, strict=True)),
+        _line("SZ", content.sun_dir_body),
+        f"{''.join(f'{value:10.6f}' for value in (_PIXELS_A_MM, 0.0, 0.0, 0.0, ratio, 0.0)):{_WIDTH}}K-MATRIX",
+        f"{4 * f'{0.0:15.5f}':{_WIDTH}}DISTORTION",
+        _line("SIGMA_VSO", sigma[:3]),
+        _line("SIGMA_PTG", sigma[3:]),
+        "LANDMARKS",
+        *(f"{number:06d}{u + 0.5:10.2f}{v + 0.5:10.2f}" for number, (u, v) in sorted((landmarks_px or {}).items())),
+        "LIMB FITS",
+        "END FILE",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _line(name: str, numbers: Iterable[float]) -> str:
+    text = "".join(f"{value:20.10E}" for value in numbers).replace("E", "D")
+    return f"{text:{_WIDTH}}{name}"

@@ -10,6 +10,7 @@ from boresight.campaign.inspection.show import (
     CaseFigures,
     CaseFiles,
     EstimatorRun,
+    Flight,
     Show,
     camera_scale,
     coarsened,
@@ -194,4 +195,16 @@ def kept(shown: DeterminedOrbit) -> CaseFiles:
     return CaseFiles({}, solution)
 
 
-SHOW = Show(draw=draw_orbit_case, kept=kept, look=look_at_orbits)
+def flights(shown: DeterminedOrbit) -> dict[str, Flight]:
+    """Return the true and the determined orbit, with the attitudes of the images by the star tracker."""
+    if shown.estimate is None or shown.estimate.status != "ok" or (orbit := shown.estimate.orbit) is None:
+        return {}
+    times_s, pictures, true = shown.observation.wanted_s, shown.observation.pictures, shown.truth.states
+    none = np.zeros(0), np.zeros((0, 3, 3))
+    return {
+        "truth": Flight(times_s, true[:, :3], true[:, 3:], *none),
+        "estimate": Flight(times_s, orbit.positions_m, orbit.velocities_m_s, pictures.times_s, pictures.R_cam_inertial),
+    }
+
+
+SHOW = Show(draw=draw_orbit_case, kept=kept, look=look_at_orbits, flights=flights)

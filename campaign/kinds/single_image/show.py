@@ -392,6 +392,8 @@ def posed(shown: EstimatedImage, case: Case) -> PosedFrames:
         estimate.pose,
         numbers,
         uv,
+        frame.sun_dir_cam,
+        estimate.covariance,
     )
     return PosedFrames(camera, [one], dict(zip(numbers.tolist(), places, strict=True)))
 

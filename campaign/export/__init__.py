@@ -1,4 +1,4 @@
-"""Export of stored runs: poses as COLMAP text models and TUM trajectories, tables as CSV, Parquet and LaTeX.
+"""Export of stored runs: poses as COLMAP text models, TUM trajectories, SPICE kernels and SUM files; tables.
 
 COLMAP (``cameras.txt``, ``images.txt``, ``points3D.txt``) has the conventions used here: x right, y down, z forward,
 the centre of the first pixel at (0.5, 0.5), and the rotation from world to camera with the scalar first. Identifiers
@@ -17,6 +17,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from boresight.campaign.export.kernels import Origin, flights_of, write_definitions, write_kernels
+from boresight.campaign.export.sumfiles import write_sumfiles
 from boresight.campaign.inspection.recompute import (
     Case,
     Choice,
@@ -26,9 +28,10 @@ from boresight.campaign.inspection.recompute import (
     recompute,
     reopened,
 )
-from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
+from boresight.campaign.inspection.show import Flight, PosedFrame, PosedFrames, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import InspectedTrial
 from boresight.campaign.trial.score import pose_of
 from boresight.reports.figures.named import file_stem
 from boresight.reports.kinds import report_grids
@@ -42,6 +45,7 @@ from boresight.scenarios.errors import BoresightError
 _CAMERA = 1
 _NO_POINT = -1
 _GREY = "160 160 160"
+_TABLES = ("csv", "parquet")
 _Track = list[tuple[int, int, float]]
 
 
@@ -52,18 +56,26 @@ def export(
     trials: Sequence[int] | None,
     out: Path,
     shown: Callable[[Sequence[Case]], Iterable[Case]],
+    origin: Origin | None = None,
 ) -> list[Path]:
-    """Write trajectories (``tum``), models (``colmap``) or tables (``csv``, ``parquet``, ``latex``); return the files.
+    """Write poses (``tum``, ``colmap``, ``spice``, ``sum``) or tables (``csv``, ``parquet``, ``latex``); return files.
 
     ``trials`` are those to export, None for all. ``shown`` gets the cases that must be run again, and passes them on.
-    Raise BoresightError if the run has no such scenario, estimator or trial, or its trials have no camera poses.
+    ``origin`` is for ``spice`` alone. Raise BoresightError if the run has no such scenario, estimator or trial, or its
+    trials have no camera poses of this kind.
     """
+    if origin is not None and to != "spice":
+        raise BoresightError("--body-id, --start-et: of SPICE kernels alone: leave them out, or choose --to spice")
     if to == "latex":
         return _latex(folder, choice, trials, out)
     run = str(folder.path)
     rows = chosen_rows(read_run(folder.path).rows, choice, run)
     rows = rows[rows["trial"].isin(checked_trials(rows, trials, run))]
-    return _poses(folder, rows, to, out, shown) if to in ("tum", "colmap") else _tables(folder, to, choice, trials, out)
+    if to in _TABLES:
+        return _tables(folder, to, choice, trials, out)
+    if to == "spice":
+        return _kernels(folder, rows, out, shown, origin or Origin())
+    return _poses(folder, rows, to, out, shown)
 
 
 def _latex(folder: RunFolder, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
@@ -110,7 +122,7 @@ def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
 def _poses(
     folder: RunFolder, rows: pd.DataFrame, to: str, out: Path, shown: Callable[[Sequence[Case]], Iterable[Case]]
 ) -> list[Path]:
-    """Write trajectories or models; trials are only run again for what is not stored of them."""
+    """Write trajectories, models or SUM files; trials are only run again for what is not stored of them."""
     stored = _stored_images(rows) if to == "tum" else None
     if stored is not None:
         return [path for name, frames in stored for path in write_trajectory(name, frames, out)]
@@ -118,11 +130,16 @@ def _poses(
     kind = campaign.spec.experiment
     show = show_of(kind)
     if show is None or show.posed is None:
-        raise BoresightError(f"trials of {kind} have no camera poses: export them with --to csv, parquet or latex")
+        others = "spice, csv" if show is not None and show.flights is not None else "csv"
+        raise BoresightError(
+            f"trials of {kind} have no poses of images: export them with --to {others}, parquet or latex"
+        )
+    if to == "sum" and not show.pooled:
+        raise BoresightError(f"trials of {kind} have no SUM files: export them with --to tum, colmap or spice")
     cases, trajectory = shown(cases_of(rows)), show.trajectory
-    if to == "colmap":
+    if to in _MODELS:
         for name, model in _posed(campaign, folder, show, cases):
-            written += write_model(model, out / name) if model.frames else []
+            written += _MODELS[to](model, out / name) if model.frames else []
         return written
     paths: Iterable[tuple[str, Sequence[PosedFrame]]]
     if trajectory is None:
@@ -132,6 +149,30 @@ def _poses(
     for name, frames in paths:
         written += write_trajectory(name, frames, out) if frames else []
     return written
+
+
+def _kernels(
+    folder: RunFolder,
+    rows: pd.DataFrame,
+    out: Path,
+    shown: Callable[[Sequence[Case]], Iterable[Case]],
+    origin: Origin,
+) -> list[Path]:
+    """Write kernels of sequences, from their stored positions, or of orbits, which are determined again."""
+    campaign = reopened(folder)
+    kind = campaign.spec.experiment
+    show = show_of(kind)
+    if show is None or (show.flights is None and show.trajectory is None):
+        raise BoresightError(f"trials of {kind} have no trajectory in inertial axes: export them in another format")
+    written, flights = list[Path](), dict[str, Flight]()
+    for case in shown(cases_of(rows)):
+        if show.trajectory is not None:
+            flights = flights_of(show.trajectory(campaign, folder, case))
+        else:
+            again = _recomputed(campaign, folder, case)
+            flights = dict(show.flights(again)) if show.flights is not None and again is not None else {}
+        written += write_kernels(case.stem, flights, origin, out)
+    return [*written, write_definitions(origin, out)] if written else []
 
 
 def _stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
@@ -168,12 +209,10 @@ def _posed(
     """
     together: dict[tuple[str, str], list[PosedFrames]] = {}
     for case in cases:
-        again = recompute(campaign, folder, case)
-        if again.comparison.differences:
-            raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
-        if show.posed is None or again.shown is None:
+        again = _recomputed(campaign, folder, case)
+        if show.posed is None or again is None:
             continue
-        found = show.posed(again.shown, case)
+        found = show.posed(again, case)
         if show.pooled:
             together.setdefault((case.scenario, case.estimator), []).append(found)
         else:
@@ -182,6 +221,15 @@ def _posed(
         frames = [frame for part in parts for frame in part.frames]
         places = {number: place for part in parts for number, place in part.places_m.items()}
         yield f"{scenario}_{estimator}", PosedFrames(parts[0].camera, frames, places)
+
+
+def _recomputed(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> InspectedTrial[Any, Any, Any] | None:
+    """Run a case again; raise BoresightError if its rows differ from the stored ones."""
+    again = recompute(campaign, folder, case)
+    if again.comparison.differences:
+        raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
+    shown: InspectedTrial[Any, Any, Any] | None = again.shown
+    return shown
 
 
 def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
@@ -244,3 +292,6 @@ def write_trajectory(name: str, frames: Sequence[PosedFrame], out: Path) -> list
             lines.append(_numbers(frame.time_s, *T_cam_world.camera_position_m, *quat_xyzw))
         write_text(path, "\n".join(lines) + "\n")
     return paths
+
+
+_MODELS = {"colmap": write_model, "sum": write_sumfiles}
