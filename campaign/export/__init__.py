@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from boresight.campaign.export.datapackage import write_data_package
 from boresight.campaign.export.kernels import Origin, flights_of, write_definitions, write_kernels
 from boresight.campaign.export.sumfiles import write_sumfiles
 from boresight.campaign.inspection.recompute import (
@@ -91,12 +92,12 @@ def _latex(folder: RunFolder, choice: Choice, trials: Sequence[int] | None, out:
 
 
 def _tables(folder: RunFolder, kind: str, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
-    """Write every table that is not empty to a file, and a file with the meaning of the columns.
+    """Write every table that is not empty to a file, and two files with the meaning of the columns.
 
     CSV and Parquet preserve every bit of the numbers. Tables without a column for the scenario or the estimator are not
     restricted to the chosen one.
     """
-    written, meanings = [], []
+    exported, meanings = dict[str, pd.DataFrame](), []
     for name in TABLES:
         table = folder.table(name)
         for column, value in (("scenario", choice.scenario), ("estimator", choice.estimator)):
@@ -104,12 +105,13 @@ def _tables(folder: RunFolder, kind: str, choice: Choice, trials: Sequence[int] 
         table = table if trials is None else table[table["trial"].isin(trials)]
         if table.empty:
             continue
-        written.append(out / f"{name}.{kind}")
-        _write(table, written[-1], kind)
+        exported[name] = table
+        _write(table, out / f"{name}.{kind}", kind)
         meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
-    written.append(out / "columns.csv")
-    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), written[-1], "csv")
-    return written
+    columns = out / "columns.csv"
+    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), columns, "csv")
+    package = write_data_package(exported, kind, folder.read_manifest() or {}, out)
+    return [*(out / f"{name}.{kind}" for name in exported), columns, package]
 
 
 def _write(table: pd.DataFrame, path: Path, kind: str) -> None:

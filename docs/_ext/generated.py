@@ -21,7 +21,7 @@ import boresight
 from boresight.campaign.cli.main import make_parser, manual
 from boresight.campaign.trial.kind import kind_names
 from boresight.estimators.pages import COSTS, FAMILIES, EstimatorPage, page_of
-from boresight.reports.schema.column import COMMON_ROW, Column, unit_by_suffix
+from boresight.reports.schema.column import COMMON_ROW, Column
 from boresight.reports.schema.tables import TABLES, kind_schema
 from boresight.scenarios import catalog
 from boresight.scenarios.load.keys import Key, as_yaml, keys_of, words_of
@@ -224,8 +224,7 @@ def _column_table(columns: Sequence[Column]) -> str:
         return "None."
     lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
     for one in columns:
-        unit = unit_by_suffix(one.name) if one.unit is None else one.unit
-        lines.append(f"| `{one.name}` | {one.type} | {unit} | {_escaped(one.meaning)} |")
+        lines.append(f"| `{one.name}` | {one.type} | {one.stored_unit} | {_escaped(one.meaning)} |")
     return "\n".join(lines)
 
 

@@ -9,7 +9,9 @@ from typing import Literal
 import pyarrow as pa
 
 # Units by the end of a name: of columns, and of numbers that estimators report.
-_SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}
+_SUFFIXES = {
+    "_px": "px", "_m": "m", "_deg": "deg", "_m_s": "m/s", "_s": "s", "_days": "days", "_bytes": "bytes",
+}  # fmt: skip
 
 
 def unit_by_suffix(name: str) -> str:
@@ -46,6 +48,11 @@ class Column(Measure):
     type: pa.DataType
     meaning: str
     printed: bool = False
+
+    @property
+    def stored_unit(self) -> str:
+        """Unit of the stored numbers; '' if they have none."""
+        return unit_by_suffix(self.name) if self.unit is None else self.unit
 
 
 Columns = tuple[Column, ...]

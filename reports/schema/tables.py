@@ -85,7 +85,7 @@ def measure_of(name: str) -> Measure:
     turns = AFTER_REVOLUTIONS.fullmatch(name)
     known = measures().get(name, Measure(name=name, error=turns is not None))
     unit = unit_by_suffix(name) if known.unit is None else known.unit
-    words = name.removesuffix(f"_{unit}").replace("_", " ")
+    words = name.removesuffix(f"_{(unit or '').replace('/', '_')}").replace("_", " ")
     return replace(known, label=known.label or (f"position {words} revolutions" if turns else words), unit=unit)
 
 

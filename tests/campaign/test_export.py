@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.reports.schema.grid import _SPECIAL, Grid
-from boresight.reports.schema.tables import TABLES
+from boresight.reports.schema.tables import TABLES, measure_label, unit_of
 from boresight.scenarios.geometry import Pose, View
 
 SEQUENCE = """\
@@ -201,3 +202,29 @@ def test_latex_sets_every_table_within_the_line(tiny_run, tmp_path):
     assert re.findall(r"(?:Overfull .*|Missing character.*|.*Warning.*)", log) == []
     captions = (tmp_path / "main.aux").read_text(encoding="utf-8").count(r"\contentsline {table}")
     assert captions == len(tables) > 3
+
+
+def test_a_data_package_describes_every_column_of_the_files(tiny_run, tmp_path):
+    export(tiny_run.folder, "csv", tmp_path)
+    package = json.loads((tmp_path / "datapackage.json").read_text(encoding="utf-8"))
+    assert re.fullmatch(r"[-a-z0-9._]+", package["name"])
+    resources = {one["name"]: one for one in package["resources"]}
+    assert {f"{name}.csv" for name in resources} == {p.name for p in tmp_path.glob("*.csv")} - {"columns.csv"}
+    read = {"integer": int, "number": float, "boolean": {"True": True, "False": False}.__getitem__, "string": str}
+    for name, resource in resources.items():
+        cells = pd.read_csv(tmp_path / resource["path"], dtype=str, keep_default_na=False)
+        fields = {field["name"]: field for field in resource["schema"]["fields"]}
+        assert list(fields) == list(cells)
+        meanings = {column.name: column.meaning for column in TABLES[name]}
+        for field, described in fields.items():
+            assert described["description"] == meanings[field]
+            for cell in cells[field]:
+                assert cell == "" or read[described["type"]](cell) is not None
+    units = {field["name"]: field.get("unit") for field in resources["rows"]["schema"]["fields"]}
+    assert (units["range_m"], units["phase_deg"], units["nees"], units["trial"]) == ("m", "deg", None, None)
+
+
+def test_units_are_those_of_the_ends_of_names():
+    ends = {"epoch_velocity_error_m_s": "m/s", "time_s": "s", "time_days": "days", "range_m": "m", "nees": ""}
+    assert {name: unit_of(name) for name in ends} == ends
+    assert measure_label("epoch_velocity_error_m_s") == "epoch velocity error"
