@@ -1,4 +1,4 @@
-"""Tables of numbers that a scenario names: CSV, Parquet and MATLAB files, and ephemerides of the CCSDS."""
+"""Tables of numbers that a scenario names: CSV, Parquet and MATLAB files, ephemerides of the CCSDS, trajectories."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ REF_FRAME = "ref_frame"
 
 _OEM_SECTIONS = {"META_START": "META_STOP", "COVARIANCE_START": "COVARIANCE_STOP"}
 _OEM_STATE = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
+_TUM = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _OEM_SAME = ("OBJECT_NAME", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM")
 
 Table = Mapping[str, Sequence[object] | FloatArray]
@@ -29,7 +30,7 @@ Table = Mapping[str, Sequence[object] | FloatArray]
 
 
 def read_table(file: str, folders: Sequence[Path]) -> Table:
-    """Read a CSV file with a header and comments after #, Parquet, OEM or SONIC's MATLAB file.
+    """Read a CSV file with a header and comments after #, Parquet, OEM, TUM or SONIC's MATLAB file.
 
     It is looked for in ``folders`` and the data folder. Raise BoresightError, OSError or ValueError if it is missing,
     not readable, or of lines of unlike length.
@@ -49,6 +50,8 @@ def read_table(file: str, folders: Sequence[Path]) -> Table:
         if path.suffix.lower() == ".oem":
             return _ephemeris(stream)
         lines = (line.partition("#")[0] for line in stream)
+        if path.suffix.lower() == ".tum":
+            return _tum(lines)
         try:
             header, *rows = [
                 [word.strip() or "nan" for word in row] for row in csv.reader(lines) if any(map(str.strip, row))
@@ -101,6 +104,27 @@ def _ephemeris(lines: Iterable[str]) -> Table:
     times = [(minute - first).total_seconds() + (seconds - part) for minute, seconds in epochs]
     states = dict(zip(_OEM_STATE, zip(*rows, strict=True), strict=True))
     return {"time_s": times, **states, REF_FRAME: [meta["REF_FRAME"]] * len(rows)}
+
+
+def _tum(lines: Iterable[str]) -> Table:
+    """Read a trajectory as evo and the TUM benchmark write it: ``time x y z qx qy qz qw``, s and m.
+
+    The quaternion is the rotation from camera axes (x right, y down, z forward) to those of the positions; the columns
+    of the result have its inverse.
+    """
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if words and len(words) != len(_TUM):
+            raise ValueError(f"line {number}: {len(words)} numbers, not the 8 of time x y z qx qy qz qw")
+        try:
+            rows += [[float(word) for word in words]] if words else []
+        except ValueError as error:
+            raise ValueError(f"line {number}: {error}") from None
+    if not rows:
+        raise ValueError("it has no poses")
+    columns = dict(zip(_TUM, np.array(rows).T, strict=True))
+    return columns | {name: -columns[name] for name in ("qx", "qy", "qz")}
 
 
 def _epoch(text: str, line: int) -> tuple[datetime, float]:

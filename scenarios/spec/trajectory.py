@@ -226,7 +226,7 @@ class FlownSpec(SpecModel):
     reads_spin: ClassVar[bool] = False
 
     table: str | None = Field(
-        None, min_length=1, description="CSV, Parquet or OEM file of states, in increasing order of time"
+        None, min_length=1, description="CSV, Parquet, OEM or TUM file of states, in increasing order of time"
     )
     spice: SpiceTrajectorySpec | None = optional("States from SPICE kernels, instead of table")
     flyby: FlybySpec | None = optional("A hyperbola, instead of table")
@@ -288,8 +288,9 @@ class TrajectorySpec(FlownSpec):
     origin. It may have ``vx_m_s``, ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the
     rotation from the table's axes to those of the camera (x right, y down, z along the boresight); and ``sun_x``,
     ``sun_y``, ``sun_z``, the direction to the Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``).
-    Or it is an Orbit Ephemeris Message of the CCSDS as text, ``.oem``. Without an attitude the boresight is on the
-    body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
+    Or it is an Orbit Ephemeris Message of the CCSDS as text, ``.oem``, or a trajectory of poses, ``.tum``. Without an
+    attitude the boresight is on the body's origin, or on ``targets``; without a Sun its direction is drawn by
+    ``lighting``.
     """
 
     prose: ClassVar = frozenset({"table", "rotation", "spice", "flyby", "hover", "descent"})

@@ -17,9 +17,11 @@ from boresight.campaign.cli import main
 from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.score import pose_of
 from boresight.reports.schema.grid import _SPECIAL, Grid
 from boresight.reports.schema.tables import TABLES, measure_label, unit_of
 from boresight.scenarios.geometry import Pose, View
+from boresight.scenarios.load import load_scenario
 
 SEQUENCE = """\
 extends: apophis-sphere-sequence
@@ -96,6 +98,19 @@ def test_trajectories_of_images_are_those_that_are_stored(tiny_run, tmp_path, mo
             matrix = Rotation.from_quat([row[f"{prefix}q{part}"] for part in "xyzw"]).as_matrix()
             camera = -matrix.T @ [row[f"{prefix}t{axis}_m"] for axis in "xyz"]
             np.testing.assert_allclose(line[1:4], camera, rtol=1e-12, atol=1e-9)
+
+
+def test_an_exported_trajectory_is_one_of_a_scenario(tiny_run, tmp_path):
+    export(tiny_run.folder, "tum", tmp_path, "--estimator", "prior", "--trial", 0, 3)
+    (tmp_path / "scene.yaml").write_text(
+        "extends: quickstart\nviewpoint: {trajectory: {table: scene_prior.estimate.tum}}\n", encoding="utf-8"
+    )
+    states = load_scenario(str(tmp_path / "scene.yaml")).spec.viewpoint.trajectory.states
+    rows = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'prior' and trial in (0, 3)")
+    for place, quaternion, row in zip(states.position_m, states.attitude, rows.to_dict("records"), strict=True):
+        pose = pose_of(row)
+        np.testing.assert_allclose(place, pose.camera_position_m, rtol=1e-15)
+        assert Pose.from_quat_wxyz(np.array(quaternion), np.zeros(3)).angle_to(pose) < 1e-12
 
 
 def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_path):

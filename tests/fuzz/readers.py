@@ -350,6 +350,7 @@ READERS = {
     "colmap-images": colmap("images.bin"),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
     "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
+    "states-tum": Reader(in_file("x.tum", states("x.tum", "x_m")), (b"1e400", b"nan", b"#", b"0 " * 9), cost=2),
     "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),
     "tracks": Reader(in_file("x.csv", tracks("table")), (b"1e400", b"nan", b"u_px", b"-1", b'"', b"#")),
     "tracks-matlab": Reader(in_file("x.mat", tracks("table")), MATLAB, written=matlab("tracks.mat")),

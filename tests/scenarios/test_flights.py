@@ -292,3 +292,51 @@ def test_messages_without_states_or_of_two_objects_are_refused(tmp_path):
             states_of(tmp_path, message)
     with pytest.raises(BoresightError, match="segments of another OBJECT_NAME than HERA"):
         states_of(tmp_path, HEAD + BODY_FIXED + FIRST + BODY_FIXED.replace("HERA", "MILANI") + SECOND)
+
+
+POSES = """# timestamp tx ty tz qx qy qz qw
+10.5 3000 0 0 0.5 0.5 -0.5 -0.5
+
+20 3001.25 -1e2 40 0.5 0.5 -0.5 -0.5  # the same attitude
+"""
+
+
+def poses_of(folder, text, more=""):
+    (folder / "way.tum").write_text(text)
+    return load(folder, f"viewpoint: {{trajectory: {{table: way.tum{more}}}}}").viewpoint.states
+
+
+def test_a_tum_file_has_places_and_the_inverse_of_its_rotations(tmp_path):
+    states = poses_of(tmp_path, POSES)
+    assert states.time_s == (10.5, 20.0)
+    np.testing.assert_array_equal(states.position_m, [[3000, 0, 0], [3001.25, -100, 40]])
+    to_table = Rotation.from_quat([0.5, 0.5, -0.5, -0.5])
+    # The camera looks back at the body: its third axis is against x.
+    np.testing.assert_allclose(to_table.apply([0, 0, 1]), [-1, 0, 0], atol=1e-12)
+    for quaternion in states.attitude:
+        np.testing.assert_allclose(
+            Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), to_table.inv().as_matrix(), atol=1e-12
+        )
+    turned = poses_of(tmp_path, POSES, ", rotation: {pole_ra_deg: 0, pole_dec_deg: 90, rate_deg_day: 0}")
+    np.testing.assert_allclose(turned.position_m[0], [0, -3000, 0], atol=1e-9)
+    looks = Rotation.from_quat(turned.attitude[0], scalar_first=True).apply([0, 1, 0])
+    np.testing.assert_allclose(looks, [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("20 3001.25", "3001.25", "line 4: 7 numbers, not the 8 of time x y z qx qy qz qw"),
+        ("3001.25", "far", "line 4: could not convert string to float: 'far'"),
+        ("3001.25", "nan", r"row 1 \(from 0\) of x_m, y_m, z_m is not all numbers"),
+        ("20 3001", "10 3001", r"time_s 10 of row 1 \(from 0\) is not after the one before"),
+        ("40 0.5 0.5", "40 0.5 5", "the quaternion has the length"),
+        (POSES, "# nothing", "it has no poses"),
+    ],
+)
+def test_a_tum_file_that_cannot_be_used_is_one_line(tmp_path, old, new, said):
+    assert old in POSES
+    with pytest.raises(BoresightError, match=said) as caught:
+        poses_of(tmp_path, POSES.replace(old, new))
+    assert "way.tum cannot be used" in str(caught.value)
+    assert "\n" not in str(caught.value)
