@@ -3,7 +3,7 @@
 Columns of the table, in any order; others are not read:
 
 ================================== ==================================================================
-file                               file name in the folder of the set, unique
+file                               file name in the folder of the set, unique; of PDS images the label
 time_s                             epoch of the exposure, s
 PREFIX_qw, _qx, _qy, _qz           quaternion (w, x, y, z) from body to camera axes
 PREFIX_tx_m, _ty_m, _tz_m          origin of the body in camera axes, m: x_cam = R(q) x_body + t
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from boresight.renderers.images import colmap
 from boresight.renderers.images.image_set import check_camera, check_size, files_digest
-from boresight.renderers.images.pixels import read_image
+from boresight.renderers.images.product import image_files, read_any_image
 from boresight.renderers.images.sumfile import read_sumfile
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
@@ -301,8 +301,8 @@ class PosedImageSet:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files of poses, and the images."""
-        return (*self.sources, *(self.folder / name for name in self.names))
+        """The files of poses, and those of the images."""
+        return (*self.sources, *(path for name in self.names for path in image_files(self.folder / name)))
 
     def time_s(self, index: int) -> float:
         """Epoch of an image, s."""
@@ -339,7 +339,7 @@ class PosedImageSet:
         Raise `BoresightError` if it cannot be read, or is not of the camera's size.
         """
         path = self.folder / self.names[index]
-        image = read_image(path)
+        image = read_any_image(path)
         check_size(image, self.camera, path)
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 

@@ -1,4 +1,4 @@
-"""Published mission images and their metadata: FITS files and PDS3 images, with attached or detached labels."""
+"""Published mission images and their metadata: FITS files, PDS3 and PDS4 images, with attached or detached labels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from boresight.renderers.images.pds3 import (
     pixel_file,
 )
 from boresight.renderers.images.pds3 import read_pixels as read_pds3_pixels
-from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits
+from boresight.renderers.images.pds4 import PDS4_SUFFIXES, parse_pds4_label
+from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.reading import LARGEST_NUMBER
 
@@ -128,8 +129,8 @@ def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> floa
 class ImageProduct:
     """A published image; its pixels are read on demand from ``path``.
 
-    ``label`` is the PDS3 label, None for a FITS file without one. ``keywords`` are those of the FITS header, overridden
-    by those of the label; ``files`` is every file of the product.
+    ``label`` is the PDS3 or PDS4 label, None for a FITS file without one. ``keywords`` are those of the FITS header,
+    overridden by those of the label; ``files`` is every file of the product.
     """
 
     path: Path
@@ -160,18 +161,19 @@ class ImageProduct:
         if self.path.suffix.lower() in FITS_SUFFIXES:
             return finite_float32(read_fits(read_bytes(self.path), self.path)[0], self.path)
         if self.label is None:
-            raise BoresightError(f"{self.path}: no PDS3 label says how the pixels are stored")
+            raise BoresightError(f"{self.path}: no label says how the pixels are stored")
         return finite_float32(read_pds3_pixels(self.label), self.path)
 
 
 def open_product(path: Path) -> ImageProduct:
-    """Open a label, a FITS file or a PDS3 image, with a detached label of the same name if there is one.
+    """Open a label, a FITS file or an image of the PDS, with a detached label of the same name if there is one.
 
     Raise `BoresightError` if a file is missing, damaged, or of another format.
     """
     suffix = path.suffix.lower()
-    if suffix not in (*LABEL_SUFFIXES, *ATTACHED_SUFFIXES, *FITS_SUFFIXES):
-        known = ", ".join((*FITS_SUFFIXES, *LABEL_SUFFIXES, *ATTACHED_SUFFIXES))
+    suffixes = (*FITS_SUFFIXES, *LABEL_SUFFIXES, *ATTACHED_SUFFIXES, *PDS4_SUFFIXES)
+    if suffix not in suffixes:
+        known = ", ".join(suffixes)
         raise BoresightError(f"{path}: not a format of missions that is read: {known}")
     label = _label(path)
     image = path if label is None or suffix in FITS_SUFFIXES else pixel_file(label)
@@ -181,9 +183,28 @@ def open_product(path: Path) -> ImageProduct:
     return ImageProduct(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
 
 
+def read_any_image(path: Path) -> NDArray[np.float32]:
+    """Read an image of the PDS by its label, or one of `read_image`; (H, W), in the order of rows of the file.
+
+    Raise `BoresightError` if a file is missing, damaged, or of another format.
+    """
+    return open_product(path).pixels() if _is_of_the_pds(path) else read_image(path)
+
+
+def image_files(path: Path) -> tuple[Path, ...]:
+    """Return the files of an image: its own, or image and label."""
+    return open_product(path).files if _is_of_the_pds(path) else (path,)
+
+
+def _is_of_the_pds(path: Path) -> bool:
+    return path.suffix.lower() in (*LABEL_SUFFIXES, *ATTACHED_SUFFIXES, *PDS4_SUFFIXES)
+
+
 def _label(path: Path) -> Label | None:
     """Parse the attached or detached label of a file; only a FITS file may have none."""
     content = read_bytes(path)
+    if path.suffix.lower() in PDS4_SUFFIXES:
+        return parse_pds4_label(content, path)
     if has_label(content) or path.suffix.lower() in LABEL_SUFFIXES:
         return parse_label(content, path)
     detached = [other for other in sorted(path.parent.glob(f"{path.stem}.*")) if other.suffix.lower() in LABEL_SUFFIXES]
@@ -191,4 +212,6 @@ def _label(path: Path) -> Label | None:
         return parse_label(read_bytes(detached[0]), detached[0])
     if path.suffix.lower() in FITS_SUFFIXES:
         return None
-    raise BoresightError(f"{path}: has no PDS3 label, neither in it nor beside it ({path.stem}.lbl)")
+    if (pds4 := path.with_suffix(".xml")).is_file():
+        return parse_pds4_label(read_bytes(pds4), pds4)
+    raise BoresightError(f"{path}: has no label of the PDS, neither in it nor beside it ({path.stem}.lbl, .xml)")

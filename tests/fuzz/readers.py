@@ -97,6 +97,10 @@ YAML = (
     b'"\\ud800"', b"- " * 2000, b"{a: " * 2000, b"? " * 2000, b"2005-10-01", b"1:30:00", b"[]", b"{}", b"[[]]",
     b"[1, 2, 3]", b"~", b"yes", b'"\\e[31m"', b'"\\0"', b'"\\N"', b"\n  ", b"'", b"x: 1\nx: 2\n", b"\xe2\x80\xae",
 )  # fmt: skip
+XML = (
+    b"<!DOCTYPE x [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;&a;'>]>", b"&a;", b"<a>" * 5000, b"<![CDATA[", b"xmlns:x=''",
+    b'<?xml version="1.0" encoding="utf-7"?>', b'<!ENTITY x SYSTEM "file:///etc/passwd">', b"&x;", b"&#0;", b"/>",
+)  # fmt: skip
 KEYS = (
     b"extends: x.yaml\n", b"extends: /dev/zero\n", b"extends: ../../../../etc/passwd\n", b"extends: [x, x]\n",
     b"extends: .\n", b"name: ../x\n", b"description: null\n", b"images: {folder: /etc}\n", b"kind: hapke", b"kind: x",
@@ -252,6 +256,11 @@ def label(content: bytes, folder: Path) -> object:
     return in_file("a.lbl", product)(content, folder)
 
 
+def pds4(content: bytes, folder: Path) -> object:
+    (folder / "image.dat").write_bytes(struct.pack(">35h", *range(35)))
+    return in_file("a.xml", product)(content, folder)
+
+
 def landmarks(name: str) -> Reader:
     """One of the three files is fuzzed, the others are sound."""
 
@@ -337,6 +346,7 @@ READERS = {
     "fits": Reader(in_file("x.fits", product, recipes.fits_file), CARDS),
     "fits-bytes": Reader(in_file("x.fit", product), CARDS),
     "pds-label": Reader(label, PDS, cost=2),
+    "pds4-label": Reader(pds4, XML),
     "pds-image": Reader(in_file("x.img", product), PDS),
     "pose-table": Reader(
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")

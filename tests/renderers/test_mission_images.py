@@ -197,7 +197,7 @@ def test_faults_of_the_metadata(tmp_path):
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.img").write_bytes(packed(">h"))
-    with pytest.raises(BoresightError, match="has no PDS3 label, neither in it nor beside it"):
+    with pytest.raises(BoresightError, match="has no label of the PDS, neither in it nor beside it"):
         open_product(tmp_path / "a.img")
     with pytest.raises(BoresightError, match="not a format of missions"):
         open_product(tmp_path / "a.png")

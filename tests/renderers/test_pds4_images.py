@@ -1,0 +1,187 @@
+"""Images with PDS4 labels, written here by struct; broken labels."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from boresight.renderers.images import PosedImageSet, open_product
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.spec.scenario import ImageSetSpec
+
+LINES, SAMPLES = 4, 6
+EXPECTED = np.arange(LINES * SAMPLES, dtype=np.float32).reshape(LINES, SAMPLES)
+LABEL = """<?xml version="1.0" encoding="UTF-8"?>
+<Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1" xmlns:disp="http://pds.nasa.gov/pds4/disp/v1"
+  xmlns:img="http://pds.nasa.gov/pds4/img/v1">
+  <Identification_Area><title>t</title></Identification_Area>
+  <Observation_Area>
+    <Time_Coordinates><start_date_time>2022-09-26T23:14:12.737Z</start_date_time></Time_Coordinates>
+    <Observing_System>
+      <name>DART DRACO</name>
+      <Observing_System_Component><name>DART</name><type>Host</type></Observing_System_Component>
+      <Observing_System_Component><name>DRACO</name><type>Instrument</type></Observing_System_Component>
+    </Observing_System>
+    <Target_Identification><name>(65803) Didymos</name><type>Asteroid</type></Target_Identification>
+    <Discipline_Area>
+      <disp:Display_Direction>
+        <disp:vertical_display_direction>Bottom to Top</disp:vertical_display_direction>
+      </disp:Display_Direction>
+      <img:Exposure><img:exposure_duration unit="ms">12.5</img:exposure_duration></img:Exposure>
+      <img:Optical_Filter><img:filter_name>clear</img:filter_name></img:Optical_Filter>
+    </Discipline_Area>
+  </Observation_Area>
+  <File_Area_Observational>
+    <File><file_name>IMAGE.DAT</file_name></File>
+    <Header><offset unit="byte">0</offset><object_length unit="byte">10</object_length>
+      <parsing_standard_id>7-Bit ASCII Text</parsing_standard_id></Header>
+    <Array_2D_Image>
+      <offset unit="byte">10</offset>
+      <axes>2</axes>
+      <axis_index_order>Last Index Fastest</axis_index_order>
+      <Element_Array><data_type>SignedMSB2</data_type><unit>DN</unit></Element_Array>
+      <Axis_Array><axis_name>Line</axis_name><elements>4</elements><sequence_number>1</sequence_number></Axis_Array>
+      <Axis_Array><axis_name>Sample</axis_name><elements>6</elements><sequence_number>2</sequence_number></Axis_Array>
+    </Array_2D_Image>
+  </File_Area_Observational>
+</Product_Observational>
+"""
+
+
+def packed(code):
+    return bytes(10) + struct.pack(f"{code[0]}{LINES * SAMPLES}{code[1]}", *range(LINES * SAMPLES))
+
+
+def written(folder, *changes, code=">h"):
+    """Write label and image with changes of the label; return the label's path."""
+    text = LABEL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "image.dat").write_bytes(packed(code))
+    (folder / "a.xml").write_text(text, encoding="utf-8")
+    return folder / "a.xml"
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"),
+    [
+        ("UnsignedByte", ">B"), ("SignedByte", ">b"), ("SignedMSB2", ">h"), ("SignedLSB2", "<h"), ("SignedMSB4", ">i"),
+        ("SignedLSB4", "<i"), ("UnsignedMSB2", ">H"), ("UnsignedLSB2", "<H"), ("UnsignedMSB4", ">I"),
+        ("UnsignedLSB4", "<I"), ("IEEE754MSBSingle", ">f"), ("IEEE754LSBSingle", "<f"), ("IEEE754MSBDouble", ">d"),
+        ("IEEE754LSBDouble", "<d"),
+    ],
+)  # fmt: skip
+def test_samples_of_each_type_are_read(tmp_path, kind, code):
+    path = written(tmp_path, ("SignedMSB2", kind), code=code)
+    product = open_product(path)
+    np.testing.assert_array_equal(product.pixels(), EXPECTED)
+    assert product.size_px == (SAMPLES, LINES)
+    assert {file.name for file in product.files} == {"a.xml", "image.dat"}
+
+
+def test_pixels_are_scaled_and_the_metadata_told(tmp_path):
+    scaled = "<unit>DN</unit><scaling_factor>0.5</scaling_factor><value_offset>-3e0</value_offset>"
+    product = open_product(written(tmp_path, ("<unit>DN</unit>", scaled)))
+    np.testing.assert_array_equal(product.pixels(), 0.5 * EXPECTED - 3.0)
+    told = product.metadata()
+    assert told.start_utc == "2022-09-26T23:14:12.737000"
+    assert told.exposure_s == pytest.approx(0.0125)
+    assert (told.spacecraft, told.instrument, told.filter) == ("DART", "DRACO", "clear")
+    assert (told.target, told.unit, told.line_display) == ("(65803) Didymos", "DN", "up")
+
+
+def test_a_label_beside_an_image_and_one_of_a_fits_file_are_found(tmp_path):
+    written(tmp_path, ("IMAGE.DAT", "a.img")).with_name("image.dat").rename(tmp_path / "a.img")
+    np.testing.assert_array_equal(open_product(tmp_path / "a.img").pixels(), EXPECTED)
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    path = written(folder, ("IMAGE.DAT", "b.fits"))
+    fits.PrimaryHDU(EXPECTED).writeto(folder / "b.fits")
+    product = open_product(path)
+    np.testing.assert_array_equal(product.pixels(), EXPECTED)
+    assert product.metadata().instrument == "DRACO"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("</Product_Observational>", "", "not a readable PDS4 label"),
+        ("Product_Observational", "Bundle", "its root is 'Bundle', not Product_Observational"),
+        ("Array_2D_Image", "Array_3D_Image", "has no Array_2D_Image"),
+        ("<file_name>IMAGE.DAT</file_name>", "", "file_name: missing"),
+        ("IMAGE.DAT", "../x.dat", r"\.\./x\.dat is not in"),
+        ("SignedMSB2", "SignedBitString", "data_type: SignedBitString is not read"),
+        ("Last Index", "First Index", "axis_index_order: 'First Index Fastest'"),
+        (">10</offset>", ">-1</offset>", "offset: '-1' is not a whole number"),
+        (">10</offset>", ">9999</offset>", "too short: 4 lines of 12 bytes from byte 9999"),
+        ("<elements>4<", "<elements>4.0<", r"elements: '4\.0' is not a whole number"),
+        ("<elements>4<", f"<elements>{10**14}<", "pixels are none, or more than"),
+        ("<sequence_number>2<", "<sequence_number>3<", "2 axes are not lines and samples"),
+        ("<unit>DN</unit>", "<scaling_factor>x</scaling_factor>", "scaling_factor: 'x' is not a number"),
+        ("<unit>DN</unit>", "<scaling_factor>nan</scaling_factor>", "is not a finite number of any use"),
+        (
+            "</Array_2D",
+            "<Special_Constants><missing_constant>7</missing_constant></Special_Constants></Array_2D",
+            "1 pixels are marked as missing",
+        ),
+    ],
+)
+def test_a_label_that_cannot_be_used_is_one_line(tmp_path, old, new, message):
+    path = written(tmp_path, (old, new))
+    with pytest.raises(BoresightError, match=message) as refused:
+        open_product(path).pixels()
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("exposure", "message"), [("soon", "'soon' is not a number"), ("-1", "is not a number of at least 0")]
+)
+def test_an_exposure_that_is_none_is_refused(tmp_path, exposure, message):
+    product = open_product(written(tmp_path, (">12.5<", f">{exposure}<")))
+    with pytest.raises(BoresightError, match=message):
+        product.metadata()
+
+
+def test_an_exposure_of_an_unknown_unit_is_refused(tmp_path):
+    with pytest.raises(BoresightError, match="fortnight is not a unit of time"):
+        open_product(written(tmp_path, ('unit="ms"', 'unit="fortnight"'))).metadata()
+
+
+ENTITIES = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">' + "".join(
+    f'<!ENTITY {new} "{f"&{old};" * 10}">' for old, new in zip("abcdefghi", "bcdefghij", strict=True)
+)
+
+
+def test_entities_do_not_expand_without_bounds(tmp_path):
+    """Of these, j is 10 GB; declared and not used, it does no harm."""
+    declared = ("<Product_Obs", f"{ENTITIES}]><Product_Obs")
+    np.testing.assert_array_equal(open_product(written(tmp_path, declared)).pixels(), EXPECTED)
+    with pytest.raises(BoresightError, match="not a readable PDS4 label"):
+        open_product(written(tmp_path, declared, ("<title>t", "<title>&j;")))
+
+
+def test_a_set_with_a_table_of_poses_has_images_of_the_pds(tmp_path):
+    path = written(tmp_path)
+    columns = {"file": "a.xml", "time_s": 0, "ref_qw": 1, "ref_qx": 0, "ref_qy": 0, "ref_qz": 0}
+    columns |= {"ref_tx_m": 0, "ref_ty_m": 0, "ref_tz_m": 900, "sun_body_x": 0, "sun_body_y": 0, "sun_body_z": 1}
+    text = "\n".join(",".join(map(str, line)) for line in (columns, columns.values()))
+    (tmp_path / "poses.csv").write_text(text)
+    images = PosedImageSet.open(
+        ImageSetSpec(folder=str(tmp_path), truth="ref"), Camera.from_fov(SAMPLES, LINES, np.radians(5.0))
+    )
+    np.testing.assert_array_equal(images.image(0), EXPECTED)
+    # Both files decide: the label, and the pixels.
+    digests = [images.content_digest()]
+    path.write_text(path.read_text().replace("DRACO", "LUKE"))
+    digests.append(images.content_digest())
+    (tmp_path / "image.dat").write_bytes(packed(">h")[:-1] + b"\0")
+    digests.append(images.content_digest())
+    assert len(set(digests)) == 3
+    path.write_text("<a/>")
+    with pytest.raises(BoresightError, match="not a PDS4 label"):
+        images.image(0)
