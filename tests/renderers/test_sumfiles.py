@@ -14,7 +14,7 @@ from painted_bodies import correlation, painted
 from scipy.spatial.transform import Rotation
 
 from boresight.renderers.images import PosedImageSet
-from boresight.renderers.images.sumfile import read_sumfile
+from boresight.renderers.images.sumfile import read_sumfile, sumfile_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.geometry.camera import pixel_to_opencv
@@ -181,3 +181,26 @@ def test_no_other_order_of_samples_and_lines_fits_the_image_of_bennu():
 
 def _detail(image):
     return cv2.GaussianBlur(image, None, 8) - cv2.GaussianBlur(image, None, 40)
+
+
+@needs_data(BENNU)
+def test_a_real_file_comes_back_from_what_is_written(tmp_path):
+    """Lines count from the top in what is written, and from the bottom in the original; the rest are its digits."""
+    original = read_sumfile(data_path(f"{BENNU}/M605862153F5.SUM"))
+    path = written(tmp_path, sumfile_text("M605862153F5", original))
+    again = read_sumfile(path)
+    assert again.time_s == original.time_s
+    np.testing.assert_allclose(again.T_cam_body.rotation, original.T_cam_body.rotation, atol=1e-10)
+    np.testing.assert_allclose(again.T_cam_body.translation_m, original.T_cam_body.translation_m, atol=1e-6)
+    np.testing.assert_allclose(again.sun_dir_body, original.sun_dir_body, atol=1e-10)
+    points_m = np.array([[200.0, 10.0, -30.0], [-100.0, 150.0, 60.0]])
+    pixels = [one.camera.project(one.T_cam_body.transform(points_m)) for one in (original, again)]
+    np.testing.assert_allclose(pixels[1], pixels[0], atol=1e-5)
+    theirs = data_path(f"{BENNU}/M605862153F5.SUM").read_text().splitlines()
+    ours = path.read_text().splitlines()
+    assert ours[:2] == theirs[:2]
+    for name in ("SCOBJ", "CX", "CZ", "SZ"):
+        told = [next(line for line in lines if line.split()[-1] == name) for lines in (ours, theirs)]
+        numbers = [[float(cell.replace("D", "E")) for cell in line.split()[:3]] for line in told]
+        np.testing.assert_allclose(*numbers, rtol=2e-10)
+        assert told[0].index(name) == told[1].index(name)
