@@ -9,7 +9,8 @@ turn at a constant rate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -97,32 +98,39 @@ def _write_spk(flight: Flight, own: _Identity, origin: Origin, path: Path) -> No
     if velocities is None:
         velocities = CubicSpline(flight.times_s, flight.positions_m, axis=0)(flight.times_s, 1)
     states_km = np.hstack([flight.positions_m, velocities]) / _M_PER_KM
-    # Opened without kernels: the context keeps other threads from SPICE, and makes its errors one line.
-    with loaded_kernels([]):
-        handle = spiceypy.spkopn(str(path), own.name, 0)
-        try:
-            spiceypy.spkw13(
-                handle, own.spacecraft, origin.body, "J2000", epochs[0], epochs[-1], own.name,
-                min(_DEGREE, 2 * len(epochs) - 1), len(epochs), states_km, epochs,
-            )  # fmt: skip
-        finally:
-            spiceypy.spkcls(handle)
+    with _new_file(path, own, spiceypy.spkopn, spiceypy.spkcls) as handle:
+        spiceypy.spkw13(
+            handle, own.spacecraft, origin.body, "J2000", epochs[0], epochs[-1], own.name,
+            min(_DEGREE, 2 * len(epochs) - 1), len(epochs), states_km, epochs,
+        )  # fmt: skip
 
 
 def _write_ck(flight: Flight, own: _Identity, path: Path) -> None:
     """Write attitudes that turn at a constant rate from one to the next."""
     times_s, first = np.unique(flight.attitude_times_s, return_index=True)
     ticks = _TICKS_PER_S * times_s
-    with loaded_kernels([]):
+    with _new_file(path, own, spiceypy.ckopn, spiceypy.ckcls) as handle:
         quat_wxyz = np.array([spiceypy.m2q(matrix) for matrix in flight.R_cam_inertial[first]])
-        handle = spiceypy.ckopn(str(path), own.name, 0)
+        spiceypy.ckw03(
+            handle, ticks[0], ticks[-1], own.frame, "J2000", False, own.name, len(ticks), ticks, quat_wxyz,
+            np.zeros((len(ticks), 3)), 1, ticks[:1],
+        )  # fmt: skip
+
+
+@contextmanager
+def _new_file(
+    path: Path, own: _Identity, begin: Callable[[str, str, int], int], end: Callable[[int], None]
+) -> Iterator[int]:
+    """Open a file for writing and close it; errors of SPICE become BoresightErrors."""
+    # Without kernels, the context only keeps other threads from SPICE and converts its errors.
+    with loaded_kernels([]):
+        handle = begin(str(path), own.name, 0)
         try:
-            spiceypy.ckw03(
-                handle, ticks[0], ticks[-1], own.frame, "J2000", False, own.name, len(ticks), ticks, quat_wxyz,
-                np.zeros((len(ticks), 3)), 1, ticks[:1],
-            )  # fmt: skip
-        finally:
-            spiceypy.ckcls(handle)
+            yield handle
+        except BaseException:
+            spiceypy.dafcls(handle)  # the closing routines of kernels refuse an empty file
+            raise
+        end(handle)
 
 
 def write_definitions(origin: Origin, out: Path) -> Path:

@@ -169,6 +169,14 @@ def test_times_that_do_not_ascend_are_refused_and_leave_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_spice_refuses_is_one_line_and_leaves_no_file(tmp_path):
+    for _ in range(2):  # the first file is closed
+        with pytest.raises(BoresightError, match=r"INVALIDSCLKTIME.* is negative") as refused:
+            write_kernels("a", flights_of(frames([-1.0])), Origin(), tmp_path)
+    assert "\n" not in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
