@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -33,6 +33,8 @@ _DARK = 1e-3
 _MARGIN_PX = 5
 # Without a limb around it a body is drawn by the law of reflectance, which is wrong, to where its mean brightness fits.
 _CUT_BACKGROUND_PX = 6.0
+# Shifts against which a correlation is judged, px: beyond the blur of one pixel into the next.
+_APART_PX, _REACH_PX = 8, 64
 # A detector is full where so many of the lit pixels lie so near to the brightest, and so many times more than below.
 _FULL_SHARE, _FULL_LEVEL, _FULL_TIMES = 0.05, 0.97, 3.0
 _UNSATURATED, _UNSATURATED_PX = 0.9, 100
@@ -88,7 +90,15 @@ class RegistrationOptions(SpecModel):
     tolerance_sigma: float = Field(
         0.1, gt=0, description="A level ends when a step is shorter than this, in standard deviations of its pose"
     )
-    correlation_min: float = Field(0.5, ge=-1, le=1, description="A worse final correlation is a failure")
+    correlation_min: float = Field(
+        0.5, ge=-1, le=1, description="A worse final correlation is a failure, unless the frame cuts the body"
+    )
+    sharpness_min: float = Field(
+        3.5,
+        ge=0,
+        description="Where the frame cuts the body: the final correlation over the largest one of the images shifted by"
+        " 8 to 64 pixels; less is a failure",
+    )
 
 
 def reduced_camera(camera: Camera, reduction: int) -> Camera:
@@ -126,7 +136,8 @@ class LevelFit:
 
     ``information`` (6, 6) is that of [rotation_rad, translation_m] in camera axes, prior included, and ``correlation``
     that of the two images over the compared pixels; NaN if the rendering is empty. ``masked_share`` is the share of the
-    pixels that were not compared because the rendering or its derivative is not finite there.
+    pixels that were not compared because the rendering or its derivative is not finite there. ``sharpness`` is the
+    `_sharpness` of a body that the frame cuts, or None.
     """
 
     T_cam_body: Pose
@@ -134,6 +145,7 @@ class LevelFit:
     correlation: float
     steps: int
     masked_share: float = 0.0
+    sharpness: float | None = None
 
 
 def fit_level(
@@ -195,7 +207,7 @@ def fit_level(
             break
     if fit is None:
         raise ValueError("a level has at least one iteration")
-    return fit
+    return replace(fit, sharpness=_sharpness(target, rendered, compared)) if is_cut(observed) else fit
 
 
 def saturation(observed: Image) -> float:
@@ -380,12 +392,29 @@ def register(
             fits.append(fit_level(observed, full, begin, view, prior, size_m, level, options))
         if not np.isfinite(fits[-1].correlation):
             break
-    return Registration(shift, tuple(fits), _failure(fits[-1].correlation, options.correlation_min))
+    return Registration(shift, tuple(fits), _failure(fits[-1], options))
 
 
-def _failure(correlation: float, least: float) -> str:
-    if not np.isfinite(correlation):
+def _failure(fit: LevelFit, options: RegistrationOptions) -> str:
+    if not np.isfinite(fit.correlation):
         return "the rendered mesh went out of view or into the dark"
-    if correlation >= least:
-        return ""
-    return f"the rendering does not look like the image: correlation {correlation:.2f}"
+    told = f"the rendering does not look like the image: correlation {fit.correlation:.2f}"
+    if fit.sharpness is None:
+        return "" if fit.correlation >= options.correlation_min else told
+    return "" if fit.sharpness >= options.sharpness_min else f"{told}, {fit.sharpness:.2g} times that of shifted images"
+
+
+def _sharpness(target: Image, rendered: Image, compared: NDArray[np.bool_]) -> float:
+    """Return the correlation of two images (H, W) over the largest one at shifts of `_APART_PX` to `_REACH_PX`.
+
+    Relief that the shape does not have lowers the correlation at the right pose, and chance raises that at wrong ones:
+    no one limit of it suits all bodies. Their ratio is about 1 at a pose that chance has found. Brightness that changes
+    over more than the least shift is subtracted, as it is alike there too.
+    """
+    fine = [image - cv2.GaussianBlur(image, (0, 0), 0.5 * _APART_PX) for image in (target, rendered)]
+    first, second = (np.fft.rfft2(np.where(compared, image - image[compared].mean(), 0.0)) for image in fine)
+    shifted = np.fft.irfft2(first * second.conj(), s=target.shape)
+    rows, columns = (np.fft.fftfreq(side, 1.0 / side) for side in target.shape)
+    apart = np.hypot(rows[:, None], columns)
+    others = shifted[(apart > _APART_PX) & (apart <= _REACH_PX)]
+    return float(shifted[0, 0] / max(others.max(initial=0.0), 1e-300))

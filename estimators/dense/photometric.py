@@ -60,10 +60,10 @@ class PhotometricEstimator:
 
     It fails when
     -------------
-    The rendering goes out of view or into the dark, or correlates with the image by less than ``correlation_min``. Of
-    500 images of ``compare-mismatched`` version 3 failed, or was worse than the prior, in none with exact knowledge and
-    in 4.20 % with that of a mission. The covariance is too small: its mean NEES was 42.0 and 40.6, 6 expected. See
-    ``tuned``.
+    The rendering goes out of view or into the dark, or correlates with the image by less than ``correlation_min``; or
+    the frame cuts the body, and shifted images correlate nearly as well (``sharpness_min``). Of 500 images of
+    ``compare-mismatched`` version 3 failed, or was worse than the prior, in none with exact knowledge and in 4.20 %
+    with that of a mission. The covariance is too small: its mean NEES was 42.0 and 40.6, 6 expected. See ``tuned``.
 
     Cost
     ----
@@ -75,7 +75,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -115,6 +115,7 @@ class PhotometricEstimator:
                 "correlation": last.correlation,
                 "steps": sum(fit.steps for fit in found.fits),
                 "masked_share": last.masked_share,
+                **({} if last.sharpness is None else {"sharpness": last.sharpness}),
             },
             timings_s=clock.seconds,
         )
@@ -143,6 +144,7 @@ _MESH_REGISTRATION = RegistrationOptions(
         LevelOptions(reduction=4, background_px=6.0),
     ),
     correlation_min=0.0,
+    sharpness_min=0.0,
 )
 
 

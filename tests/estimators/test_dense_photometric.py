@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -221,6 +222,23 @@ def test_another_body_is_a_failure_with_a_reason(renderer, image):
     found = estimate(renderer, frame(noise), options)
     assert found.status == "failed"
     assert "does not look like the image" in found.reason
+
+
+def test_a_body_cut_by_the_frame_is_judged_by_shifted_images(renderer):
+    """Ground that is nowhere that of the shape correlates as well when shifted; a weak but true likeness does not."""
+    noise = np.random.default_rng(0).random((128, 128), dtype=np.float32)
+    found = estimate(renderer, frame(cv2.GaussianBlur(noise, (0, 0), 2.0)))
+    assert (found.status, found.pose) == ("failed", None)
+    assert found.reason.endswith("times that of shifted images")
+    rng = np.random.default_rng(1)
+    mine, others = (cv2.GaussianBlur(rng.normal(size=(200, 240)), (0, 0), 2.0) for _ in range(2))
+    everywhere = np.ones(mine.shape, dtype=bool)
+    weak = 0.3 * mine + others
+    assert np.corrcoef(mine.ravel(), weak.ravel())[0, 1] < 0.35
+    assert gauss_newton._sharpness(weak, mine, everywhere) > 3.5
+    assert gauss_newton._sharpness(others, mine, everywhere) < 1.5
+    shifted = np.roll(mine, (20, -9), axis=(0, 1))
+    assert gauss_newton._sharpness(shifted, mine, everywhere) < 0.3
 
 
 @pytest.mark.parametrize(("value", "reason"), [(0.0, "black"), (np.nan, "NaN")])
