@@ -46,16 +46,21 @@ class ApproachTask:
 
 
 class ApproachNavigator:
-    """Determines the orbit image by image: the orbit by the images before is the prior of the next one."""
+    """Determines the orbit image by image: the orbit by the images before is the prior of the next one.
+
+    Where an estimate contradicts its prior, or a fit is rejected, a fix is wrong, and not always the last one: that is
+    left out for good without which the others fit best.
+    """
 
     def __init__(self, task: ApproachTask, orbit: BatchFilter) -> None:
         self._task, self._filter = task, orbit
         self._fixes: list[tuple[int, FloatArray, FloatArray]] = []
-        self._failed = self._gated = 0
+        self._gated: list[int] = []
+        self._failed = 0
         self._seconds = 0.0
 
     def frame(self, number: int, image: Image) -> Frame | None:
-        """Add the prior to an image; None if the filter has no orbit.
+        """Add the prior to an image; None if the filter has no orbit that it accepts.
 
         The errors of position and rotation are independent in the prior. The rotation has those of attitude, mounting
         and spin. An error of attitude or mounting moves the body in the image, which is part of that of the position.
@@ -63,9 +68,9 @@ class ApproachNavigator:
         task, known = self._task, self._task.knowledge
         time_s = float(task.times_s[number])
         # Not at the times after this one: while the orbit is uncertain, it may lead into the body later.
-        found = self._filter.determine(task.data(number + 1, self._collected(), np.unique([0.0, time_s])))
-        orbit, self._seconds = found.orbit, self._seconds + found.seconds
-        if orbit is None:
+        found = self._accepted(number + 1, np.unique([0.0, time_s]))
+        orbit = found.orbit
+        if found.status != "ok" or orbit is None:
             return None
         attitude = task.R_cam_inertial[number]
         rotation = attitude @ known.field.rotation.at(np.array([time_s]))[0].T
@@ -82,7 +87,10 @@ class ApproachNavigator:
         return Frame(image, attitude @ task.sun_dir, prior, covariance, time_s)
 
     def add(self, number: int, frame: Frame, estimate: Estimate) -> None:
-        """Take what an estimate adds to the prior of an image as a fix, unless the two contradict each other."""
+        """Take what an estimate adds to the prior of an image as a fix; where the two contradict each other, drop one.
+
+        Images must be added in turn, each with the frame by `frame`.
+        """
         if estimate.status != "ok" or estimate.pose is None or estimate.covariance is None:
             self._failed += 1
             return
@@ -92,24 +100,51 @@ class ApproachNavigator:
             self._failed += 1
             return
         moved_m, information, distance = fix
-        if distance > self._filter.options.edit_sigma:
-            self._gated += 1
-            return
         prior = frame.prior_T_cam_body
         centre_m = prior.translation_m + prior.rotation @ self._task.centre_of_mass_m
         self._fixes.append((number, centre_m + moved_m, information))
+        if distance > self._filter.options.edit_sigma:
+            self._drop_one(number + 1, np.zeros(1))
 
     def result(self) -> tuple[OrbitEstimate, OrbitData]:
         """Determine the orbit of all images; also return the data that it rests on."""
         count = len(self._task.times_s)
+        found = self._accepted(count, self._task.wanted_s)
         data = self._task.data(count, self._collected(), self._task.wanted_s)
-        told = {"fixes": len(self._fixes), "failed_images": self._failed, "gated_images": self._gated}
-        if len(self._fixes) < _LEAST_FIXES:
+        counts = {"fixes": len(self._fixes), "failed_images": self._failed, "gated_images": len(self._gated)}
+        reason = found.reason
+        if found.status == "ok" and len(self._fixes) < _LEAST_FIXES:
             reason = f"{len(self._fixes)} of {count} images have a fix: at least {_LEAST_FIXES} are needed"
-            return OrbitEstimate("failed", None, reason, told, self._seconds), data
-        found = self._filter.determine(data)
-        seconds = self._seconds + found.seconds
-        return replace(found, diagnostics={**found.diagnostics, **told}, seconds=seconds), data
+            found = OrbitEstimate("failed", None)
+        if reason and self._gated:
+            numbers = ", ".join(str(number + 1) for number in sorted(self._gated))
+            reason += f"; left out, as they contradict others: images {numbers}"
+        told = {**found.diagnostics, **counts}
+        return replace(found, reason=reason, diagnostics=told, seconds=self._seconds), data
+
+    def _accepted(self, count: int, wanted_s: FloatArray) -> OrbitEstimate:
+        """Determine the orbit at some times (E,) by the fixes of ``count`` images; drop fixes until it is accepted."""
+        found = self._determined(count, wanted_s)
+        while found.status != "ok" and self._fixes:
+            found = self._drop_one(count, wanted_s)
+        return found
+
+    def _drop_one(self, count: int, wanted_s: FloatArray) -> OrbitEstimate:
+        """Drop the fix without which the others have the least chi-square; return the orbit without it."""
+        fixes, found = self._fixes, []
+        for row in range(len(fixes)):
+            self._fixes = [*fixes[:row], *fixes[row + 1 :]]
+            found.append(self._determined(count, wanted_s))
+        # A fit that diverged has none.
+        best = int(np.argmin([one.diagnostics.get("chi_square_per_freedom", np.inf) for one in found]))
+        self._gated.append(fixes[best][0])
+        self._fixes = [*fixes[:best], *fixes[best + 1 :]]
+        return found[best]
+
+    def _determined(self, count: int, wanted_s: FloatArray) -> OrbitEstimate:
+        found = self._filter.determine(self._task.data(count, self._collected(), wanted_s))
+        self._seconds += found.seconds
+        return found
 
     def _collected(self) -> PositionFixes:
         rows: IndexArray = np.array([number for number, _, _ in self._fixes], dtype=np.int64)

@@ -239,6 +239,39 @@ def test_an_estimate_that_contradicts_its_prior_is_left_out():
     assert (found.status, found.diagnostics["gated_images"], found.diagnostics["fixes"]) == ("ok", 1, IMAGES - 1)
 
 
+@pytest.mark.parametrize("trial", [0, 1, 2])
+def test_a_wrong_first_fix_is_left_out_and_not_the_right_ones_after_it(trial, monkeypatch):
+    """Alone with the a priori orbit it is 2 sigma off an axis, and passes; the images after it contradict it."""
+    attitudes, known, fixes = drawn(trial)
+    position_m = fixes.position_cam_m.copy()
+    position_m[0, :2] += 12_000.0
+    priors, determine = [], ApproachNavigator._accepted
+
+    def spied(navigator, count, wanted_s):
+        found = determine(navigator, count, wanted_s)
+        priors.append(found.status)
+        return found
+
+    monkeypatch.setattr(ApproachNavigator, "_accepted", spied)
+    found = navigated(attitudes, known, replace(fixes, position_cam_m=position_m))
+    assert (found.status, found.diagnostics["gated_images"], found.diagnostics["fixes"]) == ("ok", 1, IMAGES - 1)
+    assert set(priors) == {"ok"}
+    error = found.orbit.state - FLOWN.wanted_states[0]
+    assert error @ np.linalg.solve(found.orbit.covariance, error) < chi2.ppf(0.999, 6)
+
+
+def test_a_failure_names_the_images_that_were_left_out():
+    attitudes, known, fixes = drawn(0)
+    navigator = ApproachNavigator(task_of(attitudes, known), FILTER)
+    frame = navigator.frame(0, IMAGE)
+    prior, before = frame.prior_T_cam_body, frame.prior_covariance
+    far = Pose(prior.rotation, prior.translation_m + [1e5, 0.0, 0.0])
+    navigator.add(0, frame, Estimate("ok", pose=far, covariance=1e-4 * before))
+    assert navigator.result()[0].reason == (
+        f"0 of {IMAGES} images have a fix: at least 3 are needed; left out, as they contradict others: images 1"
+    )
+
+
 def test_images_without_estimates_give_no_orbit():
     attitudes, known, _ = drawn(4)
     navigator = ApproachNavigator(task_of(attitudes, known), FILTER)
