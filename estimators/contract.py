@@ -132,8 +132,9 @@ class Estimate:
 class Estimator(Protocol):
     """An estimator of the pose from one observation.
 
-    ``version`` is part of the key of every result: raise it when results change. Three class attributes are optional:
-    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base`` and ``second``, or
+    ``version`` is part of the key of every result: raise it when results change. Some class attributes are optional:
+    ``sensors``, the names of the sensors that it needs in addition to the camera; ``fuses_prior``, true if pose and
+    covariance of every estimate contain the prior, as by a Kalman update; and ``base`` and ``second``, or
     ``far``, ``middle`` and ``near``, the names of estimators that it builds on unless options of these names give
     others ('' for none), with their options in ``options``, ``second_options`` and so on. Their versions are part of
     the key.

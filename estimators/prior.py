@@ -70,6 +70,7 @@ class PriorEstimator:
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1
+    fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = PriorOptions
 
     @classmethod

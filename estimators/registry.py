@@ -224,6 +224,11 @@ def needed_sensors(name: str) -> frozenset[str]:
     return frozenset(cast("Iterable[str]", _said_by(name, "sensors", ())))
 
 
+def fuses_prior(name: str) -> bool:
+    """Whether the class of an estimator says that its estimates contain the prior."""
+    return _said_by(name, "fuses_prior", False) is True
+
+
 BASES = {
     "base": "options", "second": "second_options",
     "far": "far_options", "middle": "middle_options", "near": "near_options",

@@ -50,6 +50,7 @@ class CentroidEstimator:
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 5
+    fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
     def __init__(self, renderer: ImageRenderer, radius_m: float, options: CentroidOptions) -> None:

@@ -82,6 +82,7 @@ class ApproachEstimator:
 
     name: ClassVar[str] = "approach"
     version: ClassVar[int] = 1
+    fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = ApproachOptions
     far: ClassVar[str] = "centroid"
     middle: ClassVar[str] = "limb"

@@ -128,6 +128,7 @@ class LimbEstimator:
 
     name: ClassVar[str] = "limb"
     version: ClassVar[int] = 4
+    fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:

@@ -43,6 +43,7 @@ class SilhouetteEstimator:
 
     name: ClassVar[str] = "silhouette"
     version: ClassVar[int] = 3
+    fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
     def __init__(self, renderer: ImageRenderer, radius_m: float, options: SightOptions, misfit_m: float = 0.0) -> None:

@@ -86,6 +86,26 @@ def test_what_is_no_approach_is_refused(changes, said):
         ApproachOrbitTrials.check_scenario(load_scenario("approach-orbit", changes))
 
 
+@pytest.mark.parametrize(
+    ("estimator", "named"),
+    [
+        ("landmark-harris", "landmark-harris"),
+        ("tuned: {base: limb}", "tuned"),
+        ("approach: {near: landmark-harris}", "landmark-harris"),
+    ],
+)
+def test_an_estimator_that_may_not_fuse_the_prior_is_refused(tmp_path, capsys, estimator, named):
+    text = (
+        f"experiment: approach-orbit\nscenarios: [approach-orbit]\nestimators: [{{{estimator}}}]\ntrials: 1\nseed: 5\n"
+    )
+    if ":" not in estimator:
+        text = text.replace("{", "").replace("}", "")
+    assert run(write_campaign(tmp_path / "campaign", text, SCENE), tmp_path / "run") == 2
+    said = capsys.readouterr().err
+    assert f"estimator '{named}' does not say that it fuses the prior" in said
+    assert said.strip().count("\n") == 0
+
+
 def test_the_scenario_suits_the_kind_and_says_what_is_known():
     loaded = load_scenario("approach-orbit")
     check_scenario(loaded, "approach-orbit")

@@ -261,11 +261,11 @@ def test_a_wrong_first_fix_is_left_out_and_not_the_right_ones_after_it(trial, mo
 
 
 def test_a_failure_names_the_images_that_were_left_out():
-    attitudes, known, fixes = drawn(0)
+    attitudes, known, _ = drawn(0)
     navigator = ApproachNavigator(task_of(attitudes, known), FILTER)
     frame = navigator.frame(0, IMAGE)
     prior, before = frame.prior_T_cam_body, frame.prior_covariance
-    far = Pose(prior.rotation, prior.translation_m + [1e5, 0.0, 0.0])
+    far = Pose(prior.rotation, prior.translation_m + np.array([1e5, 0.0, 0.0]))
     navigator.add(0, frame, Estimate("ok", pose=far, covariance=1e-4 * before))
     assert navigator.result()[0].reason == (
         f"0 of {IMAGES} images have a fix: at least 3 are needed; left out, as they contradict others: images 1"

@@ -6,7 +6,7 @@ the prior of its own orbit by the images before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -27,12 +27,12 @@ from boresight.campaign.kinds.single_image import ImageMethods
 from boresight.campaign.kinds.single_image import check as check_estimate
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.campaign.trial.runner import GaveUpError
+from boresight.campaign.trial.runner import GaveUpError, located
 from boresight.estimators.contract import Estimator
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask
-from boresight.estimators.registry import estimator_class
+from boresight.estimators.registry import estimator_class, fuses_prior, with_bases
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.dynamics.propagation import OrbitLostError
@@ -96,6 +96,21 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
         for name, part in (("imaging", section.imaging), ("arc.approach", section.arc.approach)):
             if part is None:
                 raise BoresightError(f"{scenario.path}: orbit.{name}: missing, but the experiment {cls.name} needs it")
+
+    @classmethod
+    def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
+        """Refuse wrong options, and estimators that may not fuse the prior: it could not be taken out again."""
+        found = super().build_methods(campaign, scenario)
+        for entry in cls.entries(campaign, scenario):
+            with located(campaign, entry.label):
+                for name in with_bases(entry.name, entry.options):
+                    if not fuses_prior(name):
+                        raise BoresightError(
+                            f"estimator {name!r} does not say that it fuses the prior (fuses_prior), which {cls.name}"
+                            " needs to take the prior out of its estimate: choose centroid, centroid-phase,"
+                            " silhouette, limb or approach"
+                        )
+        return found
 
     @classmethod
     def open(
