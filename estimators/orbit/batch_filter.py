@@ -414,17 +414,17 @@ def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
     # A number that was split stands for two landmarks: the new one takes it from its sightings.
     numbers[: len(listed)] = listed
     numbers[fit.solution.numbering] = data.pictures.landmark
-    placed = fit.arc.landmarks
     return Orbit(
         state=layout.state(x),
         covariance=np.asarray(covariance[:6, :6] * np.outer(scale, scale)),
         positions_m=flown.states[:, :3],
         velocities_m_s=flown.states[:, 3:],
         position_covariances_m2=np.asarray(motion @ covariance @ np.swapaxes(motion, 1, 2)),
-        numbers=numbers[placed],
-        points_body_m=fit.solution.points[placed],
+        numbers=numbers[fit.arc.landmarks],
+        points_body_m=fit.solution.points[fit.arc.landmarks],
         residuals_px=residuals,
         used=used,
+        centre=fit.arc.model.last_centre(x, covariance),
     )
 
 

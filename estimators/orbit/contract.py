@@ -22,6 +22,21 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CentreInCamera:
+    """Where the last image of an arc shows the body's centre of mass, by the orbit and the telemetered attitude.
+
+    ``position_m`` (3,) is in the axes of the camera, as it appears with the nominal focal length, and ``mounting``
+    (3, 3) the estimated rotation that follows the telemetered attitude. Both covariances (3, 3), m^2 and rad^2, are
+    those of all unknowns together, with mounting and focal length, but without the error of the image's own attitude.
+    """
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    mounting: FloatArray
+    mounting_covariance_rad2: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Orbit:
     """A determined orbit, in inertial axes.
 
@@ -29,7 +44,7 @@ class Orbit:
     (E, 3), with ``position_covariances_m2`` (E, 3, 3), are at ``OrbitData.wanted_s``. ``numbers`` (L',) and
     ``points_body_m`` (L', 3) are landmarks; a number that was split appears twice. ``residuals_px`` (K, 2) are observed
     minus predicted, of every sighting; NaN where its landmark has no position. ``used`` (K,) tells which were not
-    edited.
+    edited. ``centre`` is where the last image shows the body's centre, with fixes alone.
     """
 
     state: FloatArray
@@ -41,6 +56,7 @@ class Orbit:
     points_body_m: FloatArray
     residuals_px: FloatArray
     used: BoolArray
+    centre: CentreInCamera | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

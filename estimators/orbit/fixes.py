@@ -62,28 +62,27 @@ class ApproachNavigator:
     def frame(self, number: int, image: Image) -> Frame | None:
         """Add the prior to an image; None if the filter has no orbit that it accepts.
 
-        The errors of position and rotation are independent in the prior. The rotation has those of attitude, mounting
-        and spin. An error of attitude or mounting moves the body in the image, which is part of that of the position.
+        The mounting and the focal length are those that the fixes before tell. The position's error is that of all
+        unknowns of the filter together, and of the image's attitude, which moves the body in the image. The rotation
+        has the errors of attitude, mounting and spin. The prior has no covariance of the position with the rotation.
         """
         task, known = self._task, self._task.knowledge
         time_s = float(task.times_s[number])
         # Not at the times after this one: while the orbit is uncertain, it may lead into the body later.
         found = self._accepted(number + 1, np.unique([0.0, time_s]))
-        orbit = found.orbit
-        if found.status != "ok" or orbit is None:
+        centre = None if found.orbit is None else found.orbit.centre
+        if found.status != "ok" or centre is None:
             return None
-        attitude = task.R_cam_inertial[number]
+        attitude = centre.mounting @ task.R_cam_inertial[number]
         rotation = attitude @ known.field.rotation.at(np.array([time_s]))[0].T
-        centre_m = -attitude @ orbit.positions_m[-1]
-        turn_variance = known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2
-        across = cross_matrix(centre_m)
+        across = cross_matrix(centre.position_m)
         covariance = np.zeros((6, 6))
         spun_rad = known.spin_sigma * known.field.rotation.rate_rad_s * time_s
-        covariance[:3, :3] = (turn_variance + known.pole_sigma_rad**2 + spun_rad**2) * np.eye(3)
-        covariance[3:, 3:] = attitude @ orbit.position_covariances_m2[-1] @ attitude.T
-        covariance[3:, 3:] += turn_variance * across @ across.T
+        covariance[:3, :3] = (known.attitude_sigma_rad**2 + known.pole_sigma_rad**2 + spun_rad**2) * np.eye(3)
+        covariance[:3, :3] += centre.mounting_covariance_rad2
+        covariance[3:, 3:] = centre.covariance_m2 + known.attitude_sigma_rad**2 * across @ across.T
         covariance = 0.5 * (covariance + covariance.T)
-        prior = Pose(rotation, centre_m - rotation @ task.centre_of_mass_m)
+        prior = Pose(rotation, centre.position_m - rotation @ task.centre_of_mass_m)
         return Frame(image, attitude @ task.sun_dir, prior, covariance, time_s)
 
     def add(self, number: int, frame: Frame, estimate: Estimate) -> None:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.estimators.orbit.contract import CentreInCamera
 from boresight.estimators.orbit.parameters import ParameterLayout
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.dynamics.propagation import OrbitPartials, propagate_partials
@@ -186,10 +187,20 @@ class MeasurementModel:
 
         The error of each attitude is part of the noise of its fix, and no unknown.
         """
-        layout, measured, found = self.layout, self.measured, measured_directions(self.measured, self.layout)
-        epochs = measured.image_epoch[found.image]
+        found = measured_directions(self.measured, self.layout)
+        centre_m, by_shared = self.centres(x, flown, found.image)
+        residuals = np.einsum("ki,ki->k", found.rows, found.position_cam_m - centre_m)
+        return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
+
+    def centres(self, x: FloatArray, flown: OrbitPartials, images: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Predict where some images (K,) show the centre of mass (K, 3), m, camera axes, by the nominal focal length.
+
+        Also return the derivatives (K, 3, n) by the shared unknowns.
+        """
+        layout, measured = self.layout, self.measured
+        epochs = measured.image_epoch[images]
         mounting = Rotation.from_rotvec(layout.mounting(x)).as_matrix()
-        turns = mounting @ measured.R_cam_inertial[found.image]
+        turns = mounting @ measured.R_cam_inertial[images]
         centre_m = -np.einsum("kij,kj->ki", turns, flown.states[epochs, :3])
         by_shared = -turns @ state_derivatives(layout, x, flown, slice(0, 3))[epochs]
         # A rotation w of the mounting, on the left, moves p by w x p.
@@ -199,8 +210,25 @@ class MeasurementModel:
         # A longer focal length shows the body larger and farther off the axis, as from a smaller depth.
         by_shared[:, 2, layout.part("focal")] -= known.focal_sigma * centre_m[:, 2:]
         centre_m[:, 2] /= 1.0 + layout.focal(x)
-        residuals = np.einsum("ki,ki->k", found.rows, found.position_cam_m - centre_m)
-        return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
+        return centre_m, by_shared
+
+    def last_centre(self, x: FloatArray, covariance: FloatArray) -> CentreInCamera | None:
+        """Return where the last image shows the centre of mass, by unknowns with a covariance (n, n).
+
+        None without fixes.
+        """
+        if self.measured.fixes is None:
+            return None
+        last = np.array([len(self.measured.times_s) - 1])
+        (centre_m,), (by_shared,) = self.centres(x, self.propagate(x), last)
+        sigma_rad, part = self.layout.knowledge.misalignment_sigma_rad, self.layout.part("mounting")
+        of_mounting = sigma_rad**2 * covariance[part, part] if part.stop > part.start else np.zeros((3, 3))
+        return CentreInCamera(
+            position_m=centre_m,
+            covariance_m2=by_shared @ covariance @ by_shared.T,
+            mounting=Rotation.from_rotvec(self.layout.mounting(x)).as_matrix(),
+            mounting_covariance_rad2=of_mounting,
+        )
 
     def passes(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
         """Predict ranges and range rates."""
