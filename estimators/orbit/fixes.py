@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from boresight.estimators.contract import Estimate
 from boresight.estimators.orbit.batch_filter import BatchFilter
@@ -93,16 +94,16 @@ class ApproachNavigator:
         if estimate.status != "ok" or estimate.pose is None or estimate.covariance is None:
             self._failed += 1
             return
-        step_m = estimate.pose.translation_m - frame.prior_T_cam_body.translation_m
-        fix = measurement_of(frame.prior_covariance[3:, 3:], step_m, estimate.covariance[3:, 3:])
+        centre_m, found_m = (
+            pose.translation_m + pose.rotation @ self._task.centre_of_mass_m
+            for pose in (frame.prior_T_cam_body, estimate.pose)
+        )
+        fix = measurement_of(frame.prior_covariance[3:, 3:], found_m - centre_m, estimate.covariance[3:, 3:])
         if fix is None:
             self._failed += 1
             return
-        moved_m, information, distance = fix
-        prior = frame.prior_T_cam_body
-        centre_m = prior.translation_m + prior.rotation @ self._task.centre_of_mass_m
-        self._fixes.append((number, centre_m + moved_m, information))
-        if distance > self._filter.options.edit_sigma:
+        self._fixes.append((number, centre_m + fix.moved_m, fix.information))
+        if fix.contradicts(self._filter.options.edit_sigma):
             self._drop_one(number + 1, np.zeros(1))
 
     def result(self) -> tuple[OrbitEstimate, OrbitData]:
@@ -118,8 +119,8 @@ class ApproachNavigator:
         if reason and self._gated:
             numbers = ", ".join(str(number + 1) for number in sorted(self._gated))
             reason += f"; left out, as they contradict others: images {numbers}"
-        told = {**found.diagnostics, **counts}
-        return replace(found, reason=reason, diagnostics=told, seconds=self._seconds), data
+        diagnostics = {**found.diagnostics, **counts}
+        return replace(found, reason=reason, diagnostics=diagnostics, seconds=self._seconds), data
 
     def _accepted(self, count: int, wanted_s: FloatArray) -> OrbitEstimate:
         """Determine the orbit at some times (E,) by the fixes of ``count`` images; drop fixes until it is accepted."""
@@ -152,9 +153,29 @@ class ApproachNavigator:
         return PositionFixes(rows, positions, information)
 
 
-def measurement_of(
-    prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArray
-) -> tuple[FloatArray, FloatArray, float] | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """The measurement of a position that turned a prior into an estimate.
+
+    ``moved_m`` (3,) is the measured position less that of the prior, and ``information`` (3, 3), 1/m^2, the inverse of
+    its covariance; both are 0 in directions that are not measured. ``squared`` is the squared length of the innovation
+    in its standard deviations, prior and measurement together, in the ``directions`` that are measured.
+    """
+
+    moved_m: FloatArray
+    information: FloatArray
+    squared: float
+    directions: int
+
+    def contradicts(self, sigmas: float) -> bool:
+        """Whether the innovation is longer than chance makes it as rarely as one normal number exceeds so many sigmas.
+
+        Its squared length is chi-square with as many degrees of freedom as directions.
+        """
+        return bool(chdtrc(self.directions, self.squared) < chdtrc(1, sigmas**2))
+
+
+def measurement_of(prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArray) -> Measured | None:
     """Return the measurement that turned a prior into an estimate.
 
     An estimate that moves the prior's position by ``step_m`` (3,) and changes its covariance (3, 3) from ``prior_m2``
@@ -162,15 +183,6 @@ def measurement_of(
     inverse covariances. Directions whose variance falls by less than a tenth are left out, as they would be
     differences of nearly equal numbers. The filter can so use the measurement without the prior, which rests on the
     same data.
-
-    Returns
-    -------
-    moved_m : (3,)
-        Measured position less that of the prior, 0 in directions that are left out.
-    information : (3, 3)
-        Inverse of its covariance, 1/m^2, 0 in the same directions.
-    distance : float
-        Root mean square of the innovation in its standard deviations, prior and measurement together.
 
     The result is None if no direction is measured, or if a covariance is not positive definite.
     """
@@ -180,13 +192,13 @@ def measurement_of(
         return None
     whiten = np.linalg.inv(root)
     left, axes = np.linalg.eigh(whiten @ stated_m2 @ whiten.T)
-    told = left < 1.0 - _LEAST_GAIN
-    if not told.any() or left[0] <= 0.0:
+    measured = left < 1.0 - _LEAST_GAIN
+    if not measured.any() or left[0] <= 0.0:
         return None
-    left, axes = left[told], axes[:, told]
+    left, axes = left[measured], axes[:, measured]
     # In these axes the prior has variance 1, the measurement v = left / (1 - left), and the step is y / (1 + v).
     innovation = axes.T @ whiten @ step_m / (1.0 - left)
     towards = axes.T @ whiten
     information = towards.T @ np.diag((1.0 - left) / left) @ towards
-    distance = float(np.sqrt(np.mean(innovation**2 * (1.0 - left))))
-    return root @ axes @ innovation, 0.5 * (information + information.T), distance
+    squared = float(np.sum(innovation**2 * (1.0 - left)))
+    return Measured(root @ axes @ innovation, 0.5 * (information + information.T), squared, len(left))

@@ -178,16 +178,16 @@ class MeasurementModel:
         passes = self.passes(x, flown)
         if self.measured.fixes is None:
             return passes
-        fixed = self.fixed(x, flown)
+        fixed = self.fixed(self.measured.fixes, x, flown)
         residuals = np.r_[passes.residuals, fixed.residuals]
         return TrackingResiduals(residuals, np.vstack([passes.by_shared, fixed.by_shared]), len(fixed.residuals))
 
-    def fixed(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
+    def fixed(self, fixes: PositionFixes, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
         """Predict the measured positions of the body's centre of mass: those directions that are measured.
 
         The error of each attitude is part of the noise of its fix, and no unknown.
         """
-        found = measured_directions(self.measured, self.layout)
+        found = measured_directions(fixes, self.layout)
         centre_m, by_shared = self.centres(x, flown, found.image)
         residuals = np.einsum("ki,ki->k", found.rows, found.position_cam_m - centre_m)
         return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
@@ -261,19 +261,17 @@ class MeasuredDirections:
     rows: FloatArray
 
 
-def measured_directions(measured: Measurements, layout: ParameterLayout) -> MeasuredDirections:
+def measured_directions(fixes: PositionFixes, layout: ParameterLayout) -> MeasuredDirections:
     """Whiten the directions that fixes measure, with the error of the attitude of each image."""
-    fixes, rows, fix = measured.fixes, [np.zeros((0, 3))], []
-    if fixes is None:
-        raise ValueError("there are no fixes")
+    rows, fix = [np.zeros((0, 3))], []
     attitude = layout.knowledge.attitude_sigma_rad * cross_matrix(fixes.position_cam_m)
     for i, (information, turned) in enumerate(zip(fixes.information, attitude, strict=True)):
         values, vectors = np.linalg.eigh(information)
-        told = values > _MEASURED * max(values[-1], 0.0)
-        across = vectors[:, told].T
-        noise = np.diag(1.0 / values[told]) + across @ turned @ turned.T @ across.T
+        known = values > _MEASURED * max(values[-1], 0.0)
+        across = vectors[:, known].T
+        noise = np.diag(1.0 / values[known]) + across @ turned @ turned.T @ across.T
         rows.append(np.linalg.solve(np.linalg.cholesky(noise), across))
-        fix += [i] * int(told.sum())
+        fix += [i] * int(known.sum())
     chosen = np.array(fix, dtype=np.int64)
     return MeasuredDirections(fixes.image[chosen], fixes.position_cam_m[chosen], np.concatenate(rows))
 

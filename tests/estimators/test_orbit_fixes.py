@@ -178,17 +178,45 @@ def test_what_an_update_adds_to_the_prior_is_its_measurement(rows):
     noise = np.diag([25.0, 100.0, 400.0][:rows])
     measured = rng.normal(size=rows) * 300.0
     gain = prior @ by.T @ np.linalg.inv(by @ prior @ by.T + noise)
-    moved, information, distance = measurement_of(prior, gain @ measured, prior - gain @ by @ prior)
+    found = measurement_of(prior, gain @ measured, prior - gain @ by @ prior)
     expected = by.T @ np.linalg.inv(noise) @ by
-    np.testing.assert_allclose(information, expected, atol=1e-4 * np.abs(expected).max())
-    np.testing.assert_allclose(by @ moved, measured, rtol=1e-3)
+    np.testing.assert_allclose(found.information, expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(by @ found.moved_m, measured, rtol=1e-3)
     whole = measured @ np.linalg.solve(by @ prior @ by.T + noise, measured)
-    assert distance == pytest.approx(np.sqrt(whole / rows), rel=1e-4)
+    assert (found.squared, found.directions) == (pytest.approx(whole, rel=1e-4), rows)
     # A hundredth of the variance in one direction is no measurement of it.
     little = np.diag([0.5, 0.99, 0.5])
-    assert measurement_of(np.eye(3), np.ones(3), little)[0].tolist() == [2.0, 0.0, 2.0]
+    assert measurement_of(np.eye(3), np.ones(3), little).moved_m.tolist() == [2.0, 0.0, 2.0]
     assert measurement_of(prior, np.zeros(3), prior) is None
     assert measurement_of(-prior, np.zeros(3), prior) is None
+
+
+@pytest.mark.parametrize("directions", [1, 2, 3])
+def test_the_gate_is_as_rarely_wrong_in_all_directions_as_in_one(directions):
+    """The whole length counts, on whatever axes it is: not its mean over the directions."""
+    limit = np.sqrt(chi2.isf(chi2.sf(16.0, 1), directions))
+    stated = np.diag([1e-4 if axis < directions else 1.0 for axis in range(3)])
+    for along in (np.eye(3)[0], np.r_[np.ones(directions), np.zeros(3 - directions)] / np.sqrt(directions)):
+        for share, contradicts in ((0.999, False), (1.001, True)):
+            # The step is the innovation, of variance 1 / (1 - 1e-4), times the gain 1 - 1e-4.
+            step = share * limit * np.sqrt(1.0 - 1e-4) * along
+            assert measurement_of(np.eye(3), step, stated).contradicts(4.0) is contradicts
+    if directions == 1:
+        assert limit == pytest.approx(4.0)
+
+
+def test_a_turned_estimate_moves_the_centre_of_mass_by_its_own_rotation():
+    attitudes, known, _ = drawn(4)
+    centre = np.array([1000.0, -2000.0, 500.0])
+    navigator = ApproachNavigator(task_of(attitudes, known, centre), FILTER)
+    frame = navigator.frame(0, IMAGE)
+    prior, before = frame.prior_T_cam_body, frame.prior_covariance
+    turned = Rotation.from_rotvec([0.0, 0.0, 0.3]).as_matrix() @ prior.rotation
+    # About the centre of mass, which stays where it is.
+    pose = Pose(turned, prior.translation_m + (prior.rotation - turned) @ centre)
+    navigator.add(0, frame, Estimate("ok", pose=pose, covariance=0.01 * before))
+    fix = navigator.result()[1].fixes
+    np.testing.assert_allclose(fix.position_cam_m[0], prior.translation_m + prior.rotation @ centre, atol=1e-6)
 
 
 def navigated(attitudes, known, fixes, wrong=()):
@@ -247,8 +275,8 @@ def innovations(monkeypatch, draws):
         nonlocal directions
         found = measurement_of(*args)
         if found is not None:
-            squares.append(squared(found))
-            directions += int(np.linalg.matrix_rank(found[1], tol=1e-9 * np.abs(found[1]).max()))
+            squares.append(found.squared)
+            directions += found.directions
         return found
 
     monkeypatch.setattr(fixes_module, "measurement_of", spied)
@@ -256,10 +284,6 @@ def innovations(monkeypatch, draws):
         found = navigated(attitudes, known, fixes)
         assert (found.diagnostics["gated_images"], found.diagnostics["fixes"]) == (0, IMAGES)
     return np.reshape(squares, (-1, IMAGES)), directions
-
-
-def squared(found):
-    return found[2] ** 2 * np.linalg.matrix_rank(found[1], tol=1e-9 * np.abs(found[1]).max())
 
 
 def test_innovations_of_right_fixes_are_those_of_their_covariance(monkeypatch):

@@ -77,7 +77,7 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
     """Trials of estimators of single images, each of which feeds a batch filter of its own."""
 
     name = "approach-orbit"
-    version = 1
+    version = 2
     block_trials = 2
     undrawable = (OrbitLostError,)
 
