@@ -47,6 +47,12 @@ class ArcSpec(SpecModel):
     predicted_days: float = Field(3.0, ge=0, le=60, description="Length of the prediction after the arc")
 
     @rule
+    def _has_one_form(self) -> None:
+        senseless = self.stated("semi_major_axis_m", "eccentricity", "anomaly_deg")
+        if self.approach is not None and senseless:
+            raise ValueError(f"{senseless[0]} has no meaning beside approach: leave it out")
+
+    @rule
     def _ends_before_closest_approach(self) -> None:
         if self.approach is not None and 86_400.0 * self.days * self.approach.speed_m_s > self.approach.along_m:
             raise ValueError(

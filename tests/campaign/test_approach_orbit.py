@@ -19,6 +19,7 @@ from boresight.scenarios.known import known_on_board
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.orbits.true_orbit import epochs_s, state_at_epoch
 
+CRATERS = "craters={min_diameter_m: 20, max_diameter_m: 100, count: 50, known_diameter_m: 20}"
 NAMES = ("prior", "centroid", "limb")
 
 
@@ -78,6 +79,13 @@ def test_images_are_at_even_steps_of_the_logarithm_of_the_range():
         (("orbit.arc.approach.miss_m=2e6",), "miss_m: 2e[+]06 is not less than range_m, 1e[+]06"),
         (("orbit.imaging=null",), "orbit.imaging: missing, but the experiment approach-orbit needs it"),
         (("orbit.arc.approach=null",), "orbit.arc.approach: missing, but the experiment approach-orbit needs it"),
+        (("orbit.arc.eccentricity=0.1",), "orbit.arc: eccentricity has no meaning beside approach: leave it out"),
+        (("orbit.arc.semi_major_axis_m=1e6",), "semi_major_axis_m has no meaning beside approach"),
+        (("orbit.arc.anomaly_deg=5",), "anomaly_deg has no meaning beside approach"),
+        (("camera.distortion={k1: 0.1}",), "camera.distortion: has no effect in approach-orbit: leave it out"),
+        (("sensors.altimeter.sigma_m=1",), "sensors.altimeter: has no effect in approach-orbit"),
+        (("orbit.imaging.detections=drawn",), "orbit.imaging.detections: drawn: has no effect in approach-orbit"),
+        ((CRATERS,), ".yaml: craters: has no effect in approach-orbit"),
         (("orbit.arc.approach.miss_m=100", "orbit.arc.days=3.8579"), "is not above the body"),
     ],
 )
