@@ -218,13 +218,18 @@ def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
 
 
 def images_of(spec: ScenarioSpec, trials: int) -> int:
-    """Return how many images are rendered for so many trials; those of plans of an orbit are not counted."""
+    """Return how many images are rendered for so many trials; those of plans of an orbit are not counted.
+
+    On an approach all are taken, and counted.
+    """
     if spec.viewpoint is not None:
         return trials
     if spec.images is not None:
         return trials if spec.images.rendered else 0  # at most: a view is rendered once
     if spec.crater_pairs is not None:
         return 0 if spec.crater_pairs.images is None else 2 * trials
+    if spec.orbit is not None and spec.orbit.arc.approach is not None and spec.orbit.imaging is not None:
+        return trials * spec.orbit.imaging.epochs
     if spec.sequence is None or spec.sequence.images is None:
         return 0
     revolution = round(360.0 / spec.sequence.orbit.step_deg)

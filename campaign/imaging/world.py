@@ -285,10 +285,13 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
     spec, size_m = scenario.spec, longest_m(scenario, mesh)
     key = next(key for section, key in _RANGE_KEYS.items() if getattr(spec, section) is not None)
     shortest_m, range_m, _ = ranges_m(scenario, mesh)
+    where = ""
+    if spec.orbit is not None and spec.orbit.arc.approach is not None:
+        key, where = "orbit.arc.approach.range_m", "in the middle of the approach, "
     across_px = size_m / range_m * spec.camera.camera().fx_px
     if across_px < _LEAST_PX:
         raise BoresightError(
-            f"{scenario.path}: {key}: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
+            f"{scenario.path}: {key}: {where}at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
     sequence = spec.sequence

@@ -55,9 +55,11 @@ class ArcSpec(SpecModel):
     @rule
     def _ends_before_closest_approach(self) -> None:
         if self.approach is not None and 86_400.0 * self.days * self.approach.speed_m_s > self.approach.along_m:
+            most = self.approach.along_m / self.approach.speed_m_s / 86_400.0
+            digits = 5 - math.floor(math.log10(most))
             raise ValueError(
-                f"days: {self.days:g} is later than the closest approach: give at most"
-                f" {self.approach.along_m / self.approach.speed_m_s / 86_400.0:.6g}"
+                f"days: {self.days:.10g} is later than the closest approach: give at most"
+                f" {math.floor(most * 10.0**digits) / 10.0**digits:.10g}"  # rounded down, so that it is accepted
             )
 
     @property

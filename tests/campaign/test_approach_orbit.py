@@ -86,12 +86,21 @@ def test_images_are_at_even_steps_of_the_logarithm_of_the_range():
         (("sensors.altimeter.sigma_m=1",), "sensors.altimeter: has no effect in approach-orbit"),
         (("orbit.imaging.detections=drawn",), "orbit.imaging.detections: drawn: has no effect in approach-orbit"),
         ((CRATERS,), ".yaml: craters: has no effect in approach-orbit"),
-        (("orbit.arc.approach.miss_m=100", "orbit.arc.days=3.8579"), "is not above the body"),
+        (("orbit.arc.approach.miss_m=100", "orbit.arc.days=3.8579"), "its end at .* choose fewer days, or a larger"),
     ],
 )
 def test_what_is_no_approach_is_refused(changes, said):
     with pytest.raises(BoresightError, match=said):
         ApproachOrbitTrials.check_scenario(load_scenario("approach-orbit", changes))
+
+
+def test_the_most_days_that_a_message_gives_are_accepted():
+    with pytest.raises(BoresightError) as refused:
+        load_scenario("approach-orbit", ("orbit.arc.days=4",))
+    most = str(refused.value).split("at most ")[1].split()[0].rstrip(".;,")
+    assert load_scenario("approach-orbit", (f"orbit.arc.days={most}",)).spec.orbit.arc.days == pytest.approx(
+        3.858, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(

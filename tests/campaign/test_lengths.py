@@ -189,6 +189,11 @@ def test_the_preview_of_a_lambert_sphere_is_as_bright_as_its_formula():
             ("sequence.orbit.radius_m=20", "sequence.sphere_radius_m=null"),
             "sequence: the camera comes to 20 m from the origin",
         ),
+        (
+            "approach-orbit",
+            ("orbit.arc.approach.range_m=1e10",),
+            "orbit.arc.approach.range_m: in the middle of the approach, at ",
+        ),
         ("eros-like-orbit", ("orbit.arc.semi_major_axis_m=2000",), "orbit.arc.semi_major_axis_m: the camera comes to"),
     ],
 )
@@ -225,6 +230,8 @@ def test_time_is_that_of_the_last_run_and_images_are_counted_uncompressed(monkey
     ("scenario", "count"),
     [
         ("quickstart", 7),
+        ("approach-orbit", 140),
+        ("eros-like-orbit", 0),
         ("eros-crater-pairs", 0),
         ("eros-like-crater-images", 14),
         ("apophis-sphere-sequence", 0),

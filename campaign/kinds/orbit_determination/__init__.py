@@ -129,9 +129,12 @@ def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
     reach = load_body(scenario.spec.body, scenario.search_dirs).mesh.radius_m
     nearest = section.arc.ranges_m[0]
     if nearest <= reach:
+        place, change = "pericentre", "choose a larger semi_major_axis_m"
+        if section.arc.approach is not None:
+            place, change = "end", "choose fewer days, or a larger approach.miss_m"
         raise BoresightError(
-            f"{scenario.path}: orbit.arc: its pericentre at {nearest:g} m is not above the body, which reaches"
-            f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m, or on an approach fewer days"
+            f"{scenario.path}: orbit.arc: its {place} at {nearest:g} m is not above the body, which reaches"
+            f" {reach:.6g} m from its origin: {change}"
         )
     return section
 
