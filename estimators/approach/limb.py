@@ -103,8 +103,8 @@ class LimbEstimator:
     solution for the shape's ellipsoid is the start, or the prior where the frame cuts the body. The outline of the
     onboard shape is then fitted by robust Gauss-Newton steps: profiles of brightness across it give sub-pixel points,
     and distances along the normals are minimised. The three coordinates of the position are fused with the prior; the
-    attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is as large as the
-    scatter where the frame cuts the body, and what the error of the prior's attitude does to the position.
+    attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is at least as large
+    as the scatter where the frame cuts the body, and what the error of the prior's attitude does to the position.
 
     Use it when
     -----------
@@ -188,13 +188,19 @@ class LimbEstimator:
     def predict(self, planned: Observation) -> FloatArray | None:
         """Predict the covariance (6, 6) by the lit limb at the planned pose; see `Predictor`.
 
-        The points have errors of `_POINT_PX` that are independent, and the bias of the options.
+        The points have errors of `_POINT_PX` that are independent, and the bias of the options. Result None where the
+        outline reaches the border of the frame: the bias is then that of the misfit, which geometry does not tell.
         """
         frame, camera = planned.frame, planned.camera
         pose = frame.prior_T_cam_body
         count = _ray_count(sphere_px(self._radius_m, pose, camera))
         plan = _Plan(frame, camera, ray_directions(count), self._outline.silhouette(pose))
-        points = self._limb_at(plan, pose, camera.project(pose.translation_m))
+        centre_px = camera.project(pose.translation_m)
+        radius_px, _ = self._outline.at(pose, camera, centre_px, plan.rays, plan.edges)
+        met = np.isfinite(radius_px)
+        if not camera.contains(centre_px + radius_px[met, None] * plan.rays[met]).all():
+            return None
+        points = self._limb_at(plan, pose, centre_px)
         if points is None or len(points.ray) < self._options.points_min:
             return None
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])

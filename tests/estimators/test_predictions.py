@@ -41,6 +41,17 @@ def test_a_body_in_the_dark_has_no_prediction():
     assert estimator.predict(ball((0.0, 0.0, 1.0))) is None
 
 
+@pytest.mark.parametrize(("across_m", "cut"), [(98.0, False), (102.0, True)])
+def test_a_body_that_the_frame_cuts_has_no_prediction(across_m, cut):
+    """The sphere has a radius of 100 px in a frame that reaches 200 px from the boresight: 2,000 m are 2,000 px."""
+    planned = ball((0.0, 0.0, -1.0))
+    pose = planned.frame.prior_T_cam_body
+    aside = replace(pose, translation_m=pose.translation_m + np.array([across_m, 0.0, 0.0]))
+    planned = replace(planned, frame=replace(planned.frame, prior_T_cam_body=aside))
+    found = limb.LimbEstimator(icosphere(5, 100.0), limb.LimbOptions()).predict(planned)
+    assert (found is None) is cut
+
+
 def two_rays(sigma_px, range_sigma_m, motion_m2):
     """Two views with a baseline of 40 m of one landmark 100 m below the first, which measures its range."""
     camera, point = Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0), np.array([[0.0, 0.0, 100.0]])
