@@ -1,1 +1,1 @@
-"""Orbit determination from crater sightings: the batch filter of Cheng et al. (2003) with radiometric data."""
+"""Orbit determination from crater sightings or positions of the body: the batch filter of Cheng et al. (2003)."""

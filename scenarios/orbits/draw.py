@@ -20,10 +20,11 @@ from boresight.scenarios.spec.orbit import CraterSightingSpec
 def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:
     """Draw the a priori knowledge with its errors; ``state`` (6,) is the true one at the epoch."""
     rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
-    # Mean motion: the error of the velocity is that of the position times it.
-    rate, approach = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3), spec.arc.approach
-    if approach is not None:
+    # The error of the velocity is that of the position times a rate: the mean motion, or that of the approach.
+    if (approach := spec.arc.approach) is not None:
         rate = approach.speed_m_s / approach.range_m
+    else:
+        rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
     ways = rng.normal(size=(2, 3))
     # Random directions of a given length: the variance of a coordinate is a third of its square.
     ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)

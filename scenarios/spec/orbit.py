@@ -164,8 +164,8 @@ class ImagingSpec(SpecModel):
         240,
         ge=2,
         le=5000,
-        description="Epochs at even steps over the arc, on an approach of the logarithm of the range; each has an image"
-        " if lit ground is in view",
+        description="Epochs at even steps over the arc, on an approach of the logarithm of the range; each has an"
+        " image, of craters if lit ground is in view",
     )
     detections: Literal["rendered", "drawn"] = Field(
         "rendered", description="Images of the scenario's craters, or rims of drawn ones projected by geometry"
@@ -176,7 +176,7 @@ class ImagingSpec(SpecModel):
 
 
 class OrbitSpec(SpecModel):
-    """Orbit determination by craters: true world, measurements and a priori knowledge."""
+    """Orbit determination by craters, or on an approach by the body: true world, measurements, a priori knowledge."""
 
     arc: ArcSpec = ArcSpec()
     asteroid: AsteroidSpec = AsteroidSpec()

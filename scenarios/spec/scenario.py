@@ -288,7 +288,9 @@ class ScenarioSpec(SpecModel):
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks of a camera's way, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
-    orbit: OrbitSpec | None = optional("Weeks of images of craters from an orbit, instead of viewpoint")
+    orbit: OrbitSpec | None = optional(
+        "Weeks of images of craters from an orbit, or of an approach, instead of viewpoint"
+    )
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")

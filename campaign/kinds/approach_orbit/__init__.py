@@ -1,4 +1,4 @@
-"""Kind of trial: the orbit of a spacecraft that comes nearer, from where estimators of single images see the body.
+"""Kind of trial: the orbit of a spacecraft that comes nearer, from positions that estimators of single images measure.
 
 The camera follows the body, with an error that telemetry reports; all estimators see the same images. Each starts from
 the prior of its own orbit by the images before.
