@@ -20,9 +20,10 @@ SECTION = {
 
 def orbit_world(**changes):
     """Build it with changes of the section, by group: ``orbit_world(sightings={"wrong_share": 0.1})``."""
-    section = OrbitSpec.model_validate(
-        {key: {**SECTION.get(key, {}), **changes.get(key, {})} for key in SECTION | changes}
-    )
+    parts = {key: {**SECTION.get(key, {}), **changes.get(key, {})} for key in SECTION | changes}
+    if "approach" in parts["arc"]:
+        del parts["arc"]["semi_major_axis_m"]
+    section = OrbitSpec.model_validate(parts)
     asteroid = Asteroid.of(lump(), section, 3)
     return OrbitWorld(section, CAMERA, asteroid, OnboardShape.of(asteroid, section, section.knowledge.shape_degree))
 
