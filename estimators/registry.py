@@ -225,7 +225,7 @@ def needed_sensors(name: str) -> frozenset[str]:
 
 
 def fuses_prior(name: str) -> bool:
-    """Whether the class of an estimator says that its estimates contain the prior."""
+    """Whether the class of an estimator declares that it fuses the prior."""
     return _said_by(name, "fuses_prior", False) is True
 
 

@@ -11,6 +11,7 @@ from boresight.renderers.images.sumfile import Sumfile, sumfile_text
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry.pose import cross_matrix
 
 _M_PER_KM = 1e3
 
@@ -35,8 +36,6 @@ def sigma_km_rad(T_cam_body: Pose, covariance: FloatArray) -> FloatArray:
 
     SCOBJ is R^T t. For R' = exp(w) R and t' = t + d it changes by R^T (d - w x t), to first order.
     """
-    x, y, z = T_cam_body.translation_m
-    cross_t = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    derivative = T_cam_body.rotation.T @ np.hstack([cross_t, np.eye(3)])
+    derivative = T_cam_body.rotation.T @ np.hstack([cross_matrix(T_cam_body.translation_m), np.eye(3)])
     variance_m2 = np.diag(derivative @ covariance @ derivative.T)
     return np.asarray(np.sqrt(np.concatenate([variance_m2 / _M_PER_KM**2, np.diag(covariance)[:3]])))

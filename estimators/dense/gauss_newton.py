@@ -398,10 +398,12 @@ def register(
 def _failure(fit: LevelFit, options: RegistrationOptions) -> str:
     if not np.isfinite(fit.correlation):
         return "the rendered mesh went out of view or into the dark"
-    told = f"the rendering does not look like the image: correlation {fit.correlation:.2f}"
+    unlike = f"the rendering does not look like the image: correlation {fit.correlation:.2f}"
     if fit.sharpness is None:
-        return "" if fit.correlation >= options.correlation_min else told
-    return "" if fit.sharpness >= options.sharpness_min else f"{told}, {fit.sharpness:.2g} times that of shifted images"
+        return "" if fit.correlation >= options.correlation_min else unlike
+    return (
+        "" if fit.sharpness >= options.sharpness_min else f"{unlike}, {fit.sharpness:.2g} times that of shifted images"
+    )
 
 
 def _sharpness(target: Image, rendered: Image, compared: NDArray[np.bool_]) -> float:

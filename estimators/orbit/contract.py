@@ -23,7 +23,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CentreInCamera:
-    """Where the last image of an arc shows the body's centre of mass, by the orbit and the telemetered attitude.
+    """Position of the body's centre of mass at the last image of an arc, by the orbit and the reported attitude.
 
     ``position_m`` (3,) is in the axes of the camera, as it appears with the nominal focal length, and ``mounting``
     (3, 3) the estimated rotation that follows the telemetered attitude. Both covariances (3, 3), m^2 and rad^2, are

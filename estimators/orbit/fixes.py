@@ -23,7 +23,7 @@ _LEAST_FIXES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ApproachTask:
-    """What is known of an approach besides its images.
+    """A priori data of an approach, without its images.
 
     The images (I) have times (I,), ascending, s, and reported attitudes (I, 3, 3). ``centre_of_mass_m`` (3,) is in the
     axes of the shape, and ``sun_dir`` (3,) a unit vector towards the Sun, inertial axes. ``wanted_s`` (E,) are the
@@ -168,9 +168,9 @@ class Measured:
     directions: int
 
     def contradicts(self, sigmas: float) -> bool:
-        """Whether the innovation is longer than chance makes it as rarely as one normal number exceeds so many sigmas.
+        """Whether a chi-square test rejects the innovation, with a degree of freedom for each direction.
 
-        Its squared length is chi-square with as many degrees of freedom as directions.
+        It rejects right ones with the probability at which one normal number exceeds ``sigmas`` standard deviations.
         """
         return bool(chdtrc(self.directions, self.squared) < chdtrc(1, sigmas**2))
 
