@@ -160,7 +160,8 @@ def test_other_maplets_begin_at_another_place_and_cover_as_well():
         ("databases: 2\nexperiment: landmark-database\n", "databases: 1 is all that a campaign of landmark-database"),
         (
             "experiment: zebra\n",
-            ".yaml:9: experiment: 'zebra' is not a kind of trial; choose one of approach-orbit, crater-detection",
+            ".yaml:9: experiment: 'zebra' is not a kind of trial; choose one of approach-orbit, crater-detection, "
+            "crater-matching",
         ),
     ],
 )
