@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from boresight.estimators.contract import ImageRenderer
-from boresight.estimators.landmark.signal import background_of, unusable
+from boresight.estimators.landmark.signal import MAD_TO_SIGMA, unusable
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.observation import Frame
@@ -182,7 +182,9 @@ def _sky(image: Image) -> tuple[float, float]:
     """
     some = image[:: max(1, image.shape[0] // _SKY_ROWS)]
     blocks = [part for rows in np.array_split(some, 8) for part in np.array_split(rows, 8, axis=1)]
-    level, noise = background_of(min(blocks, key=lambda block: float(block.mean())))
+    dark = min(blocks, key=lambda block: float(block.mean()))
+    level = float(np.median(dark))
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(dark - level)))
     fall = level - some[some < level].astype(np.float64)
     below = np.sqrt((fall**2).sum() / max(len(fall) + 0.5 * np.count_nonzero(some == level), 1.0))
     return level, max(noise, float(below))

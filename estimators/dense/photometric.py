@@ -75,7 +75,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 8
+    version: ClassVar[int] = 9
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -186,7 +186,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     options_model: ClassVar[type[SpecModel]] = WholeImageOptions
 
     @classmethod

@@ -32,7 +32,7 @@ FILE = "descriptors.npz"
 _ARCHIVE = Archive(FILE, "descriptors", "boresight-descriptors", version=1)
 _UNIT = 1e-6
 
-METHOD_VERSION = 1
+METHOD_VERSION = 2
 
 
 class FeatureOptions(SpecModel):

@@ -80,7 +80,7 @@ class DescriptorNavigator:
     """Matches features with those of rendered views, removes outliers by RANSAC and estimates the posterior pose."""
 
     name: ClassVar[str]
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = DescriptorNavigatorOptions
     kind: ClassVar[Kind]
 

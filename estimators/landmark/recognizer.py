@@ -292,7 +292,7 @@ class LandmarkRecognizer:
     """
 
     name: ClassVar[str] = "landmark-harris"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = LandmarkOptions
 
     def __init__(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import sigmaclip
 
 from boresight.estimators.contract import Stopwatch
 from boresight.scenarios.errors import BoresightError
@@ -20,8 +21,9 @@ _CORNER_FRACTION = 1 / 16
 _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16
 _FULL_SCALE_PERCENTILE = 99.0
-_MAD_TO_SIGMA = 1.4826
+MAD_TO_SIGMA = 1.4826
 _COVERED, _CLEAR_SIGMA = 0.1, 5.0
+_UNEVEN, _UNEVEN_TIMES = 0.05, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,41 +64,49 @@ def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None
     if fault := unusable(frame, camera):
         return fault
     with nullcontext() if clock is None else clock("centroid"):
-        signal = extract_signal(frame.image, _observed_sky(frame.image))
+        signal = extract_signal(frame.image)
     return "the image is black: nothing above its background" if signal.empty else signal.image
 
 
 def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
-    """Level and standard deviation of the dark sky.
+    """Level and standard deviation of the dark sky in the darkest corner, or of shadows where no corner shows sky.
 
-    Both are measured in the darkest of the image's four corners, which is wrong only if the body reaches into all
-    four. They are the median and the scaled median absolute deviation, robust against stars and hot pixels.
+    Such a corner is brighter than a tenth of the image's range, and than what the differences of neighbouring pixels
+    have of noise; or it is uneven: its deviation is a twentieth of that range and twice the noise of its pixels. The
+    darkest hundredth of the image are then taken for black, and no noise is told from texture.
     """
     height, width = image.shape
     rows, columns = max(4, round(height * _CORNER_FRACTION)), max(4, round(width * _CORNER_FRACTION))
     blocks = [image[r, c] for r in (slice(rows), slice(-rows, None)) for c in (slice(columns), slice(-columns, None))]
-    medians = [float(np.median(block)) for block in blocks]
-    # A corner that the body covers is brighter than the sky.
-    return background_of(blocks[int(np.argmin(medians))])
+    corner = min(blocks, key=lambda block: float(np.median(block)))
+    level, noise = background_of(corner)
+    low, high = (float(value) for value in np.percentile(image, (1.0, _FULL_SCALE_PERCENTILE)))
+    rise = level - low
+    bright = rise > _COVERED * (high - low) and rise > _CLEAR_SIGMA * _noise_of_pixels(image)
+    uneven = noise > _UNEVEN * (high - level) and noise > _UNEVEN_TIMES * _noise_of_pixels(corner)
+    return (min(low, level), 0.0) if bright or uneven else (level, noise)
+
+
+def _noise_of_pixels(image: NDArray[np.float32]) -> float:
+    return background_of(np.diff(image, axis=1))[1] / np.sqrt(2.0)
 
 
 def background_of(sky: NDArray[np.float32]) -> tuple[float, float]:
-    """Level and standard deviation of pixels of the sky: the median and the scaled median absolute deviation."""
-    level = float(np.median(sky))
-    return level, float(_MAD_TO_SIGMA * np.median(np.abs(sky - level)))
+    """Level and standard deviation of pixels of the sky, without stars, hot pixels and what of the body is among them.
 
-
-def _observed_sky(image: NDArray[np.float32]) -> tuple[float, float]:
-    """Level and standard deviation of the sky as `background_level`, or of shadows where no corner shows sky.
-
-    The darkest corner is then brighter than a tenth of the image's range, and than what the differences of neighbouring
-    pixels have of noise. The darkest hundredth of the pixels are taken for black, and no noise is told from texture.
+    They are the median and the scaled median absolute deviation. Where noise is below a grey level most pixels are
+    equal, and that deviation is 0: then mean and deviation of the pixels within five deviations, from the levels next
+    to the median on.
     """
-    level, noise = background_level(image)
-    low, high = (float(value) for value in np.percentile(image, (1.0, _FULL_SCALE_PERCENTILE)))
-    of_pixels = _MAD_TO_SIGMA / np.sqrt(2.0) * float(np.median(np.abs(np.diff(image, axis=1))))
-    covered = level - low > max(_COVERED * (high - low), _CLEAR_SIGMA * of_pixels)
-    return (low, 0.0) if covered else (level, noise)
+    values = sky.astype(np.float64).ravel()
+    level = float(np.median(values))
+    apart = np.abs(values - level)
+    noise = MAD_TO_SIGMA * float(np.median(apart))
+    if noise > 0.0:
+        return level, noise
+    step = float(np.diff(np.unique(values)).min(initial=np.inf))
+    near = sigmaclip(values[apart <= _CLEAR_SIGMA * step], _CLEAR_SIGMA, _CLEAR_SIGMA).clipped
+    return float(near.mean()), float(near.std())
 
 
 def extract_signal(

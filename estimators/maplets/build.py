@@ -18,7 +18,7 @@ from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.base import SpecModel, length
 
 METHOD = "shape-maplets"
-METHOD_VERSION = 1
+METHOD_VERSION = 2
 
 _LEAST_GAIN = 0.003  # share of its facets that a further maplet must cover for the first time
 _LEAST_FACING = 0.1  # cosine of the angle between a facet's normal and a maplet's

@@ -225,7 +225,7 @@ class MapletNavigator:
     """
 
     name: ClassVar[str] = "lmaps"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = MapletsOptions
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:

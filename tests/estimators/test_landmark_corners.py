@@ -190,6 +190,26 @@ def test_background_is_measured_where_the_body_is_not():
     assert 0.8 < np.percentile(signal.image[signal.image > 0], 99) < 1.2
 
 
+@pytest.mark.parametrize("level", [10.1, 10.5, 10.8])
+def test_noise_below_a_grey_level_is_not_taken_for_a_body(level):
+    """Median and median deviation of whole numbers said 10 and 0: half of the sky was lit."""
+    sky = np.rint(np.random.default_rng(8).normal(level, 0.45, (256, 256)))
+    image = (sky + np.rint(60.0 * lit_disc(256, 6.0))).astype(np.float32)  # fewer than a hundredth of the pixels
+    measured, noise = background_level(image)
+    assert abs(measured - sky.mean()) < 0.1
+    assert sky.std() * 0.9 < noise < 1.5
+    assert np.count_nonzero(extract_signal(image).image[lit_disc(256, 6.0) == 0.0]) == 0
+
+
+def test_ground_in_all_corners_is_not_taken_for_sky():
+    """The darkest corner was, where shadows in it are darker than a hundredth of the image."""
+    rng = np.random.default_rng(9)
+    ground = 800.0 + 400.0 * cv2.GaussianBlur(rng.normal(size=(256, 256)), (0, 0), 4.0) / 0.07
+    ground[:10, :10] = 12.0
+    image = np.rint(ground.clip(12.0) + rng.normal(0.0, 5.0, ground.shape)).astype(np.float32)
+    assert (extract_signal(image).image > 0.0).mean() > 0.95
+
+
 def test_a_known_sky_is_not_measured_again():
     bright = np.full((64, 64), 0.5, dtype=np.float32)
     assert extract_signal(bright).empty

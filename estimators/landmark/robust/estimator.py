@@ -122,7 +122,7 @@ class ConsensusRecognizer:
     """
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
