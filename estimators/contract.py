@@ -108,6 +108,9 @@ class Estimate:
     bound
         (6, 6), same parameters: Cramer-Rao bound of the observations used, under their calibrated noise (including
         the prior's information where the method uses the prior); None if the method gives none.
+    common
+        (6,) one standard deviation, same parameters, of an error that all images of the method share, such as that by a
+        bias in pixels; ``covariance`` contains its square. None if the method states none.
     stages
         Poses after the named stages, in order, also where a later stage failed.
     details
@@ -123,6 +126,7 @@ class Estimate:
     pose: Pose | None = None
     covariance: NDArray[np.float64] | None = None
     bound: NDArray[np.float64] | None = None
+    common: NDArray[np.float64] | None = None
     stages: tuple[Stage, ...] = ()
     details: Mapping[str, Table] = field(default_factory=dict)
     diagnostics: Mapping[str, float | int | str] = field(default_factory=dict)

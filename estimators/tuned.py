@@ -240,5 +240,6 @@ class TunedEstimator:
         return replace(
             estimate,
             covariance=tuned + observation.calibration_covariance(estimate.pose),
+            common=None,
             diagnostics={**estimate.diagnostics, "covariance_factor": factor},
         )

@@ -10,11 +10,18 @@ from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.observation import Observation
 
 
-def fuse(observation: Observation, measured: FloatArray, by_pose: FloatArray, covariance: FloatArray) -> Estimate:
+def fuse(
+    observation: Observation,
+    measured: FloatArray,
+    by_pose: FloatArray,
+    covariance: FloatArray,
+    common: FloatArray | None = None,
+) -> Estimate:
     """Update the prior's translation by a measurement, and return the pose with its covariance as an estimate.
 
     ``measured`` (k,) is z = H [w, d] + noise for the error [rotation_rad, translation_m] of the prior, H being
-    ``by_pose`` (k, 6) and ``covariance`` (k, k) that of the noise, any units. The attitude is considered and not
+    ``by_pose`` (k, 6) and ``covariance`` (k, k) that of the noise, any units; ``common`` (k,)
+    is one standard deviation of the part of the noise that all images share. The attitude is considered and not
     estimated (Schmidt 1966): with the gain K = P H^T (H P H^T + R)^-1, rows of the rotation set to 0, the covariance is
     (I - K H) P (I - K H)^T + K R K^T. So it holds what the attitude's error does to the position.
     """
@@ -28,7 +35,8 @@ def fuse(observation: Observation, measured: FloatArray, by_pose: FloatArray, co
     left = np.eye(6) - gain @ by_pose
     pose = prior.perturbed(np.zeros(3), step[3:])
     stated = left @ frame.prior_covariance @ left.T + gain @ covariance @ gain.T
-    return Estimate("ok", pose=pose, covariance=np.asarray(0.5 * (stated + stated.T)))
+    moved = None if common is None else gain @ common
+    return Estimate("ok", pose=pose, covariance=np.asarray(0.5 * (stated + stated.T)), common=moved)
 
 
 def grouped_covariance(scores: FloatArray, group: IndexArray, unknowns: int) -> FloatArray:

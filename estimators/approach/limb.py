@@ -104,7 +104,8 @@ class LimbEstimator:
     onboard shape is then fitted by robust Gauss-Newton steps: profiles of brightness across it give sub-pixel points,
     and distances along the normals are minimised. The three coordinates of the position are fused with the prior; the
     attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is at least as large
-    as the scatter where the frame cuts the body, and what the error of the prior's attitude does to the position.
+    as the scatter where the frame cuts the body, and what the error of the prior's attitude does to the position. Half
+    of the bias's variance is stated as common to all images.
 
     Use it when
     -----------
@@ -180,7 +181,8 @@ class LimbEstimator:
             noise = grouped_covariance(weighted * residual_px[:, None], arc, 3)
             # The points of a cut body are on a short arc, of which a misfit of the shape may move all.
             noise += _bias_covariance(max(self._options.bias_px, misfit_px * body.cut), weighted, arc)
-            found = fuse(observation, measured, by_pose, noise)
+            common = np.sqrt(0.5) * self._options.bias_px * weighted.sum(axis=0)
+            found = fuse(observation, measured, by_pose, noise, common)
         if found.pose is not None and found.covariance is not None:
             found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)

@@ -301,8 +301,7 @@ class BatchFilter(Configured[OrbitOptions]):
 
     def _fit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState, growth: float) -> _Fit:
         """Fit a growing arc; then split, edit and adjust the whole arc by least squares."""
-        end, steps = float(data.pictures.times_s[-1]), 0
-        splits = 0
+        end, steps, splits = float(data.pictures.times_s[-1]), 0, 0
         ends = _arc_ends(self.options.first_days * _DAY_S, growth, end)
         # A growing arc: errors of the a priori orbit grow with time, and over the whole arc the model would not be
         # linear.
@@ -402,7 +401,8 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
 
 def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
     """Convert a solution to the units of the contract and propagate it to the wanted times."""
-    x, covariance = fit.solution.x, fit.adjusted.covariance(layout.size)
+    x = fit.solution.x
+    covariance = fit.arc.model.considered(x, fit.adjusted.covariance(layout.size))
     flown = propagate_orbit(layout, x, data.wanted_s)
     motion = state_derivatives(layout, x, flown, slice(0, 3))
     scale = layout.state_sigma

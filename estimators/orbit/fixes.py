@@ -55,7 +55,7 @@ class ApproachNavigator:
 
     def __init__(self, task: ApproachTask, orbit: BatchFilter) -> None:
         self._task, self._filter = task, orbit
-        self._fixes: list[tuple[int, FloatArray, FloatArray]] = []
+        self._fixes: list[tuple[int, FloatArray, Measured]] = []
         self._gated: list[int] = []
         self._failed = 0
         self._seconds = 0.0
@@ -98,11 +98,13 @@ class ApproachNavigator:
             pose.translation_m + pose.rotation @ self._task.centre_of_mass_m
             for pose in (frame.prior_T_cam_body, estimate.pose)
         )
-        fix = measurement_of(frame.prior_covariance[3:, 3:], found_m - centre_m, estimate.covariance[3:, 3:])
+        common_m = np.zeros(3) if estimate.common is None else estimate.common[3:]
+        prior_m2, stated_m2 = frame.prior_covariance[3:, 3:], estimate.covariance[3:, 3:]
+        fix = measurement_of(prior_m2, found_m - centre_m, stated_m2, common_m)
         if fix is None:
             self._failed += 1
             return
-        self._fixes.append((number, centre_m + fix.moved_m, fix.information))
+        self._fixes.append((number, centre_m + fix.moved_m, fix))
         if fix.contradicts(self._filter.options.edit_sigma):
             self._drop_one(number + 1, np.zeros(1))
 
@@ -149,8 +151,9 @@ class ApproachNavigator:
     def _collected(self) -> PositionFixes:
         rows: IndexArray = np.array([number for number, _, _ in self._fixes], dtype=np.int64)
         positions = np.array([one for _, one, _ in self._fixes], dtype=np.float64).reshape(-1, 3)
-        information = np.array([one for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3, 3)
-        return PositionFixes(rows, positions, information)
+        information = np.array([one.information for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3, 3)
+        common = np.array([one.common_m for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3)
+        return PositionFixes(rows, positions, information, common)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,12 +161,14 @@ class Measured:
     """The measurement of a position that turned a prior into an estimate.
 
     ``moved_m`` (3,) is the measured position less that of the prior, and ``information`` (3, 3), 1/m^2, the inverse of
-    its covariance; both are 0 in directions that are not measured. ``squared`` is the squared length of the innovation
-    in its standard deviations, prior and measurement together, in the ``directions`` that are measured.
+    its covariance; ``common_m`` (3,) is one standard deviation of the part of its error that all images share. They are
+    0 in directions that are not measured. ``squared`` is the squared length of the innovation in its standard
+    deviations, prior and measurement together, in the ``directions`` that are measured.
     """
 
     moved_m: FloatArray
     information: FloatArray
+    common_m: FloatArray
     squared: float
     directions: int
 
@@ -175,14 +180,16 @@ class Measured:
         return bool(chdtrc(self.directions, self.squared) < chdtrc(1, sigmas**2))
 
 
-def measurement_of(prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArray) -> Measured | None:
+def measurement_of(
+    prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArray, common_m: FloatArray
+) -> Measured | None:
     """Return the measurement that turned a prior into an estimate.
 
     An estimate that moves the prior's position by ``step_m`` (3,) and changes its covariance (3, 3) from ``prior_m2``
     to ``stated_m2`` is the prior with a linear measurement of the position: its information is the difference of the
-    inverse covariances. Directions whose variance falls by less than a tenth are left out, as they would be
-    differences of nearly equal numbers. The filter can so use the measurement without the prior, which rests on the
-    same data.
+    inverse covariances. ``common_m`` (3,) is what the error that all images share does to the estimate. Directions
+    whose variance falls by less than a tenth are left out, as they would be differences of nearly equal numbers. The
+    filter can so use the measurement without the prior, which rests on the same data.
 
     The result is None if no direction is measured, or if a covariance is not positive definite.
     """
@@ -197,8 +204,9 @@ def measurement_of(prior_m2: FloatArray, step_m: FloatArray, stated_m2: FloatArr
         return None
     left, axes = left[measured], axes[:, measured]
     # In these axes the prior has variance 1, the measurement v = left / (1 - left), and the step is y / (1 + v).
-    innovation = axes.T @ whiten @ step_m / (1.0 - left)
-    towards = axes.T @ whiten
+    towards, back = axes.T @ whiten, root @ axes
+    innovation = towards @ step_m / (1.0 - left)
     information = towards.T @ np.diag((1.0 - left) / left) @ towards
     squared = float(np.sum(innovation**2 * (1.0 - left)))
-    return Measured(root @ axes @ innovation, 0.5 * (information + information.T), squared, len(left))
+    common = back @ (towards @ common_m / (1.0 - left))
+    return Measured(back @ innovation, 0.5 * (information + information.T), common, squared, len(left))

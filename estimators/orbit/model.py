@@ -188,9 +188,28 @@ class MeasurementModel:
         The error of each attitude is part of the noise of its fix, and no unknown.
         """
         found = measured_directions(fixes, self.layout)
-        centre_m, by_shared = self.centres(x, flown, found.image)
-        residuals = np.einsum("ki,ki->k", found.rows, found.position_cam_m - centre_m)
+        centre_m, by_shared = self.centres(x, flown, fixes.image[found.fix])
+        residuals = np.einsum("ki,ki->k", found.rows, fixes.position_cam_m[found.fix] - centre_m)
         return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
+
+    def considered(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Add what the error that all fixes share does to the unknowns to their covariance (n, n).
+
+        The fixes are weighted as if their errors were independent, and the common one is considered: no unknown, as it
+        is not quite constant. With c_i one standard deviation of it in fix i and H_i the derivatives, both whitened,
+        s_i = P H_i^T c_i is what it does by that fix. P contains each s_i s_i^T, and the covariance is P + S S^T - sum
+        of s_i s_i^T, S being the sum of the s_i.
+        """
+        fixes = self.measured.fixes
+        if fixes is None:
+            return covariance
+        found = measured_directions(fixes, self.layout)
+        common = np.einsum("ki,ki->k", found.rows, fixes.common_m[found.fix])
+        moved = np.zeros((len(fixes.image), self.layout.size))
+        np.add.at(moved, found.fix, self.fixed(fixes, x, self.propagate(x)).by_shared * common[:, None])
+        moved = moved @ covariance
+        total = moved.sum(axis=0)
+        return covariance + np.outer(total, total) - moved.T @ moved
 
     def centres(self, x: FloatArray, flown: OrbitPartials, images: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Predict where some images (K,) show the centre of mass (K, 3), m, camera axes, by the nominal focal length.
@@ -254,10 +273,9 @@ class MeasurementModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredDirections:
-    """Fixes as M scalars of variance 1: ``rows`` (M, 3), 1/m, times the position (M, 3), m, in the ``image`` (M,)."""
+    """Fixes as M scalars of variance 1: ``rows`` (M, 3), 1/m, times the position, m, of the numbers ``fix`` (M,)."""
 
-    image: IndexArray
-    position_cam_m: FloatArray
+    fix: IndexArray
     rows: FloatArray
 
 
@@ -272,8 +290,7 @@ def measured_directions(fixes: PositionFixes, layout: ParameterLayout) -> Measur
         noise = np.diag(1.0 / values[known]) + across @ turned @ turned.T @ across.T
         rows.append(np.linalg.solve(np.linalg.cholesky(noise), across))
         fix += [i] * int(known.sum())
-    chosen = np.array(fix, dtype=np.int64)
-    return MeasuredDirections(fixes.image[chosen], fixes.position_cam_m[chosen], np.concatenate(rows))
+    return MeasuredDirections(np.array(fix, dtype=np.int64), np.concatenate(rows))
 
 
 def _tilt_rotations(tilts: FloatArray) -> FloatArray:
@@ -347,9 +364,7 @@ def measurements_until(
     times, fixes = pictures.times_s[:images], data.fixes
     if fixes is not None:
         n = int(np.searchsorted(fixes.image, images))
-        fixes = replace(
-            fixes, image=fixes.image[:n], position_cam_m=fixes.position_cam_m[:n], information=fixes.information[:n]
-        )
+        fixes = PositionFixes(fixes.image[:n], fixes.position_cam_m[:n], fixes.information[:n], fixes.common_m[:n])
     return (
         Measurements(
             times_s=times,

@@ -87,21 +87,24 @@ class PositionFixes:
     ``image`` (F,) are rows of the times of the pictures, ascending. ``position_cam_m`` (F, 3) are in the axes of the
     camera and ``information`` (F, 3, 3), 1/m^2, is the inverse of the covariance of their errors, without those of the
     camera's attitude and focal length. It is singular where a direction, such as that of the range, is not measured.
+    ``common_m`` (F, 3) is one standard deviation of the part of these errors that all fixes share.
     """
 
     image: IndexArray
     position_cam_m: FloatArray
     information: FloatArray
+    common_m: FloatArray
 
     def __post_init__(self) -> None:
-        n = len(self.image)
-        if self.position_cam_m.shape != (n, 3) or self.information.shape != (n, 3, 3):
+        n, parts = len(self.image), (self.position_cam_m, self.information, self.common_m)
+        shapes = tuple(part.shape for part in parts)
+        if shapes != ((n, 3), (n, 3, 3), (n, 3)):
             raise BoresightError(
-                f"fixes: {n} images do not go with positions {self.position_cam_m.shape}"
-                f" and information {self.information.shape}"
+                f"fixes: {n} images do not go with positions {shapes[0]}, information {shapes[1]}"
+                f" and common errors {shapes[2]}"
             )
-        if not (np.isfinite(self.position_cam_m).all() and np.isfinite(self.information).all()):
-            raise BoresightError("fixes: positions and information must be finite numbers")
+        if not all(np.isfinite(part).all() for part in parts):
+            raise BoresightError("fixes: positions, information and common errors must be finite numbers")
         if np.any(np.diff(self.image) <= 0):
             raise BoresightError("fixes: images must ascend: each has one fix at most")
 

@@ -63,6 +63,7 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
         (replace(GOOD, covariance=np.eye(3)), r"a covariance of shape \(3, 3\)"),
         (replace(GOOD, covariance=np.full((6, 6), 1e300)), "beyond 1e"),
         (replace(GOOD, bound=1j * np.eye(6)), "of finite numbers"),
+        (replace(GOOD, common=np.full(6, np.nan)), "the common error of shape .* finite numbers"),
         (replace(GOOD, covariance=np.triu(np.ones((6, 6)))), "not symmetric"),
         (replace(GOOD, covariance=np.diag([1, 1, 1, 1, 1, -1e-9])), "a covariance has a negative variance: -1e-09"),
         (replace(GOOD, covariance=INDEFINITE), "a covariance is not positive semidefinite: .* eigenvalue -0.01"),

@@ -10,6 +10,7 @@ import pytest
 
 from boresight.estimators.approach.body import BodyView, LitBody, find_body, of_one_body
 from boresight.estimators.approach.centroid import CENTROID
+from boresight.estimators.approach.limb import LimbEstimator, LimbOptions
 from boresight.estimators.approach.sight import _by_pose
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.detector import Detector
@@ -168,6 +169,27 @@ def test_a_wrong_camera_shifts_the_body(name):
     np.testing.assert_allclose((focal - exact)[:2, :2], np.outer(wrong_m, wrong_m), rtol=0.1)
     np.testing.assert_allclose((middle - exact)[:2, :2], per_px**2 * np.eye(2), rtol=0.05, atol=0.02 * per_px**2)
     assert (focal - exact)[2, 2] < 0.05 * np.trace(focal - exact)
+
+
+def test_a_ball_that_is_larger_than_known_moves_the_limb_along_its_common_error():
+    """All points of a ball of 60 px are 0.2 px farther out: as by the bias, of which half is common, 0.07 px."""
+    truth = look_at(np.array([0.0, -2000.0 * BODY.radius_m / 60.0, 0.0]))
+    sun = np.array([0.8, 0.0, -0.6])
+    shapes = [icosphere(5, BODY.radius_m * (1.0 - off_px / 30.0)) for off_px in (0.0, 0.2)]
+    renderer = MitsubaRenderer(shapes[0], LambertSpec(), 36, variant=choose_variant())
+    image = Detector(DetectorSpec()).expose(
+        renderer.render(View(CAMERA, truth, truth.rotation.T @ sun)), np.random.default_rng(0)
+    )
+    seen = Observation(CAMERA, Frame(image, sun, truth, np.diag([1e-12] * 3 + [1e12] * 3)))
+    right, small = (
+        LimbEstimator(shape, LimbOptions()).estimate(seen, rng=np.random.default_rng(0)) for shape in shapes
+    )
+    moved = (small.pose.translation_m - right.pose.translation_m) * np.sqrt(0.5) * 0.1 / 0.2
+    sigma = np.sqrt(np.diag(right.covariance)[3:])
+    np.testing.assert_allclose(moved / sigma, right.common[3:] / sigma, atol=0.05)
+    assert np.linalg.norm(right.common[3:] / sigma) > 0.5
+    left = right.covariance[3:, 3:] - np.outer(right.common[3:], right.common[3:])
+    assert np.linalg.eigvalsh(left / np.outer(sigma, sigma)).min() > 0.0
 
 
 def test_the_calibration_is_in_the_covariance_of_the_limb():

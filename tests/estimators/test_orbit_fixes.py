@@ -16,6 +16,7 @@ from boresight.estimators.contract import Estimate
 from boresight.estimators.orbit import fixes as fixes_module
 from boresight.estimators.orbit.batch_filter import BatchFilter, BatchState, DataArc
 from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask, measurement_of
+from boresight.estimators.orbit.model import measured_directions
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.scenarios.dynamics.field import HarmonicField
 from boresight.scenarios.dynamics.gravity import Harmonics
@@ -47,8 +48,11 @@ WORLD = approaching()
 FLOWN = propagate_truth(WORLD, epochs_s(WORLD), 5, 0)
 
 
-def drawn(trial, ranged=True):
-    """Return images' attitudes, knowledge and fixes with errors that are normal and of the stated sizes."""
+def drawn(trial, ranged=True, common=0.0):
+    """Return images' attitudes, knowledge and fixes with errors that are normal and of the stated sizes.
+
+    One error is ``common`` times as large as the others, and has the same size in sigmas and the same axis in all.
+    """
     rng = np.random.default_rng([7, trial])
     known = draw_knowledge(WORLD, FLOWN.wanted_states[0], 5, trial)
     sigma = np.repeat([known.position_sigma_m, known.velocity_sigma_m_s], 3)
@@ -65,7 +69,7 @@ def drawn(trial, ranged=True):
     turns = turns @ Rotation.from_rotvec(MOUNTING_RAD * rng.normal(size=3)).as_matrix()
     centres = -np.einsum("kij,kj->ki", turns @ attitudes, FLOWN.image_states[:, :3])
     ranges = np.linalg.norm(centres, axis=1)
-    information = np.zeros((IMAGES, 3, 3))
+    information, in_all, shared = np.zeros((IMAGES, 3, 3)), np.zeros((IMAGES, 3)), rng.normal() if common else 0.0
     for i, (centre, distance) in enumerate(zip(centres, ranges, strict=True)):
         sight = centre / distance
         across = np.eye(3) - np.outer(sight, sight)
@@ -74,10 +78,12 @@ def drawn(trial, ranged=True):
         if ranged and distance < 2e5:
             deep = 2e-9 * distance**2
             information[i] += np.outer(sight, sight) / deep**2
-            centres[i] = centre + error + deep * rng.normal() * sight
+            in_all[i] = common * (2e-5 * distance * across[0] + deep * sight)
+            information[i] = np.linalg.inv(np.linalg.inv(information[i]) + np.outer(in_all[i], in_all[i]))
+            centres[i] = centre + error + deep * rng.normal() * sight + shared * in_all[i]
         else:  # the range is that of something else
             centres[i] = (centre + error) * 1.01
-    return attitudes, known, PositionFixes(np.arange(IMAGES), centres, information)
+    return attitudes, known, PositionFixes(np.arange(IMAGES), centres, information, in_all)
 
 
 IMAGE = np.zeros((2, 2), np.float32)
@@ -138,11 +144,12 @@ def test_state_and_covariance_are_those_of_a_dense_fit(ranged, sigmas):
         assert sigma[:3].max() < 0.5 * known.position_sigma_m
 
 
-def test_errors_are_those_of_the_covariance():
+@pytest.mark.parametrize("common", [0.0, 3.0])
+def test_errors_are_those_of_the_covariance(common):
     """NEES of 6 at the epoch, of 3 at the end, over 24 draws; each bound fails by chance once in a thousand."""
     epoch, end = [], []
     for trial in range(24):
-        data = data_of(*drawn(trial))
+        data = data_of(*drawn(trial, common=common))
         orbit = FILTER.determine(data).orbit
         error = orbit.state - FLOWN.wanted_states[0]
         epoch.append(error @ np.linalg.solve(orbit.covariance, error))
@@ -170,6 +177,24 @@ def test_derivatives_are_central_differences():
         np.testing.assert_allclose(found.by_shared[:, p], difference, atol=2e-3 * np.abs(difference).max() + 1e-6)
 
 
+def test_a_common_error_is_considered_as_by_the_whole_covariance_of_the_fixes():
+    """Weighted least squares with the gain G has the covariance G N G^T and that of the prior, N of all fixes."""
+    data = data_of(*drawn(1, common=2.0))
+    layout = ParameterLayout.of(data, FILTER.options)
+    start = BatchState.initial(data, layout)
+    model = DataArc.until(data, layout, FILTER.options, start, data.pictures.times_s[-1]).model
+    by = model.tracking(start.x, model.propagate(start.x)).by_shared
+    directions = measured_directions(data.fixes, layout)
+    parts = np.einsum("ki,ki->k", directions.rows, data.fixes.common_m[directions.fix])
+    between = directions.fix[:, None] != directions.fix
+    noise = np.eye(len(parts)) + between * np.outer(parts, parts)
+    alone = np.linalg.inv(by.T @ by + layout.information)
+    gain = alone @ by.T
+    expected = gain @ noise @ gain.T + alone @ layout.information @ alone
+    np.testing.assert_allclose(model.considered(start.x, alone), expected, atol=1e-9 * np.abs(expected).max())
+    assert expected[0, 0] > 1.2 * alone[0, 0]
+
+
 @pytest.mark.parametrize("rows", [2, 3])
 def test_what_an_update_adds_to_the_prior_is_its_measurement(rows):
     rng = np.random.default_rng(rows)
@@ -178,17 +203,19 @@ def test_what_an_update_adds_to_the_prior_is_its_measurement(rows):
     noise = np.diag([25.0, 100.0, 400.0][:rows])
     measured = rng.normal(size=rows) * 300.0
     gain = prior @ by.T @ np.linalg.inv(by @ prior @ by.T + noise)
-    found = measurement_of(prior, gain @ measured, prior - gain @ by @ prior)
+    common = np.array([3.0, -5.0, 2.0])[:rows]
+    found = measurement_of(prior, gain @ measured, prior - gain @ by @ prior, gain @ common)
     expected = by.T @ np.linalg.inv(noise) @ by
     np.testing.assert_allclose(found.information, expected, atol=1e-4 * np.abs(expected).max())
     np.testing.assert_allclose(by @ found.moved_m, measured, rtol=1e-3)
+    np.testing.assert_allclose(by @ found.common_m, common, rtol=1e-3)
     whole = measured @ np.linalg.solve(by @ prior @ by.T + noise, measured)
     assert (found.squared, found.directions) == (pytest.approx(whole, rel=1e-4), rows)
     # A hundredth of the variance in one direction is no measurement of it.
     little = np.diag([0.5, 0.99, 0.5])
-    assert measurement_of(np.eye(3), np.ones(3), little).moved_m.tolist() == [2.0, 0.0, 2.0]
-    assert measurement_of(prior, np.zeros(3), prior) is None
-    assert measurement_of(-prior, np.zeros(3), prior) is None
+    assert measurement_of(np.eye(3), np.ones(3), little, np.zeros(3)).moved_m.tolist() == [2.0, 0.0, 2.0]
+    assert measurement_of(prior, np.zeros(3), prior, np.zeros(3)) is None
+    assert measurement_of(-prior, np.zeros(3), prior, np.zeros(3)) is None
 
 
 @pytest.mark.parametrize("directions", [1, 2, 3])
@@ -200,7 +227,7 @@ def test_the_gate_is_as_rarely_wrong_in_all_directions_as_in_one(directions):
         for share, contradicts in ((0.999, False), (1.001, True)):
             # The step is the innovation, of variance 1 / (1 - 1e-4), times the gain 1 - 1e-4.
             step = share * limit * np.sqrt(1.0 - 1e-4) * along
-            assert measurement_of(np.eye(3), step, stated).contradicts(4.0) is contradicts
+            assert measurement_of(np.eye(3), step, stated, np.zeros(3)).contradicts(4.0) is contradicts
     if directions == 1:
         assert limit == pytest.approx(4.0)
 
@@ -234,12 +261,14 @@ def navigated(attitudes, known, fixes, wrong=()):
         origin = seen - prior.rotation @ centre + (5e4 if i in wrong else 0.0)
         step = covariance[3:, 3:] @ information @ (origin - prior.translation_m)
         pose = Pose(prior.rotation, prior.translation_m + step)
-        navigator.add(i, frame, Estimate("ok", pose=pose, covariance=covariance))
+        common = np.r_[np.zeros(3), covariance[3:, 3:] @ information @ fixes.common_m[i]]
+        navigator.add(i, frame, Estimate("ok", pose=pose, covariance=covariance, common=common))
     return navigator.result()[0]
 
 
-def test_priors_of_the_orbit_are_not_counted_twice():
-    attitudes, known, fixes = drawn(4)
+@pytest.mark.parametrize("common", [0.0, 3.0])
+def test_priors_of_the_orbit_are_not_counted_twice(common):
+    attitudes, known, fixes = drawn(4, common=common)
     found, direct = navigated(attitudes, known, fixes), FILTER.determine(data_of(attitudes, known, fixes))
     assert found.diagnostics["fixes"] == IMAGES
     sigma = np.sqrt(np.diag(direct.orbit.covariance))
@@ -368,4 +397,4 @@ def test_images_without_estimates_give_no_orbit():
 def test_wrong_fixes_are_refused(image, position, said):
     attitudes, known, _ = drawn(0)
     with pytest.raises(BoresightError, match=said):
-        data_of(attitudes, known, PositionFixes(np.array(image), position, np.zeros((len(image), 3, 3))))
+        data_of(attitudes, known, PositionFixes(np.array(image), position, np.zeros((len(image), 3, 3)), 0 * position))

@@ -77,7 +77,7 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
     """Trials of estimators of single images, each of which feeds a batch filter of its own."""
 
     name = "approach-orbit"
-    version = 2
+    version = 3
     block_trials = 2
     undrawable = (OrbitLostError,)
 

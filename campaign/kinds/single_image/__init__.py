@@ -94,6 +94,8 @@ def _check_solution(estimate: Estimate) -> None:
     for what, matrix in (("covariance", estimate.covariance), ("bound", estimate.bound)):
         if matrix is not None:
             check_covariance(f"a {what}", matrix, _PARAMETERS)
+    if estimate.common is not None:
+        check_array("the common error", estimate.common, (_PARAMETERS,))
 
 
 def _check_pose(pose: Pose, which: str) -> None:
