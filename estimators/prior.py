@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
+from scipy.linalg import eigh
 
 from boresight.estimators.contract import Assets, Estimate
 from boresight.estimators.options import parse_options
@@ -35,6 +36,15 @@ def floor_variances(covariance: FloatArray) -> FloatArray:
     if lowest < _LEAST_SHARE:
         covariance = covariance + (_LEAST_SHARE + abs(lowest)) * np.diag(variances)
     return covariance
+
+
+def shares_of_prior(covariance: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return variances (k,) and axes (k, k), as columns, in which ``prior`` is 1 and ``covariance`` diagonal.
+
+    The variances ascend. Raise `numpy.linalg.LinAlgError` if ``prior`` is not positive definite.
+    """
+    shares, axes = eigh(covariance, prior)
+    return np.asarray(shares), np.asarray(axes)
 
 
 def free_directions(covariance: FloatArray) -> int:

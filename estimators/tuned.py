@@ -10,13 +10,12 @@ from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field, JsonValue
-from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import floor_variances, free_directions
+from boresight.estimators.prior import floor_variances, free_directions, shares_of_prior
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import CameraSigma, Observation
@@ -114,15 +113,9 @@ def tuned_covariance(covariance: FloatArray, prior_covariance: FloatArray, facto
     factor
         Above 0.
     """
-    shares, axes = _shares(covariance, prior_covariance)
+    shares, axes = shares_of_prior(covariance, floor_variances(prior_covariance))
     inverse = np.linalg.inv(axes)
     return np.asarray(inverse.T @ (_tuned(shares, factor)[:, None] * inverse), dtype=np.float64)
-
-
-def _shares(covariance: FloatArray, prior_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (6,) variances and (6, 6) axes, as columns, in which P_0 is 1 and P diagonal."""
-    shares, axes = eigh(covariance, floor_variances(prior_covariance))
-    return np.asarray(shares), np.asarray(axes)
 
 
 def _tuned(shares: FloatArray, factor: float) -> FloatArray:
@@ -141,9 +134,9 @@ def fit_tuning(rehearsed: Sequence[Rehearsed], trials: int) -> CovarianceTuning:
     cap = chi2.ppf(_CAP_SHARE, freedom)
     # The mean of a chi-square up to c is that of its density times x, which has 2 degrees of freedom more.
     expected = freedom * chi2.cdf(cap, freedom + 2.0) + cap * (1.0 - _CAP_SHARE)
-    parts = [(_shares(one.covariance, one.prior_covariance), one.error) for one in rehearsed]
-    shares = np.array([of for (of, _), _ in parts])
-    squares = np.array([(axes.T @ error) ** 2 for (_, axes), error in parts])
+    parts = [shares_of_prior(one.covariance, floor_variances(one.prior_covariance)) for one in rehearsed]
+    shares = np.array([of for of, _ in parts])
+    squares = np.array([(axes.T @ one.error) ** 2 for (_, axes), one in zip(parts, rehearsed, strict=True)])
 
     def weighed(factor: float) -> FloatArray:
         return np.asarray(np.sum(squares / _tuned(shares, factor), axis=1), dtype=np.float64)

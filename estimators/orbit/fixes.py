@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 from boresight.estimators.contract import Estimate
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.estimators.prior import shares_of_prior
 from boresight.scenarios.arrays import FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.geometry.pose import cross_matrix
@@ -194,19 +195,16 @@ def measurement_of(
     The result is None if no direction is measured, or if a covariance is not positive definite.
     """
     try:
-        root = np.linalg.cholesky(prior_m2)
+        left, axes = shares_of_prior(stated_m2, prior_m2)
     except np.linalg.LinAlgError:
         return None
-    whiten = np.linalg.inv(root)
-    left, axes = np.linalg.eigh(whiten @ stated_m2 @ whiten.T)
     measured = left < 1.0 - _LEAST_GAIN
     if not measured.any() or left[0] <= 0.0:
         return None
     left, axes = left[measured], axes[:, measured]
     # In these axes the prior has variance 1, the measurement v = left / (1 - left), and the step is y / (1 + v).
-    towards, back = axes.T @ whiten, root @ axes
-    innovation = towards @ step_m / (1.0 - left)
-    information = towards.T @ np.diag((1.0 - left) / left) @ towards
+    innovation, common = (axes.T @ one / (1.0 - left) for one in (step_m, common_m))
+    information = axes @ np.diag((1.0 - left) / left) @ axes.T
     squared = float(np.sum(innovation**2 * (1.0 - left)))
-    common = back @ (towards @ common_m / (1.0 - left))
-    return Measured(back @ innovation, 0.5 * (information + information.T), common, squared, len(left))
+    back = prior_m2 @ axes
+    return Measured(back @ innovation, 0.5 * (information + information.T), back @ common, squared, len(left))
