@@ -145,12 +145,22 @@ class SpecModel(BaseModel):
         return self
 
     def stated(self, *keys: str) -> list[str]:
-        """Return which of some keys, by default of all, are not as they are where a file leaves them out."""
+        """Return which of some keys, by default of all, are not as they are where a file leaves them out.
+
+        Lengths and numbers in sections are not compared if they follow from the scenario where a file leaves them out.
+        """
         fields = type(self).model_fields
-        return [key for key in keys or fields if getattr(self, key) != fields[key].default]
+        return [key for key in keys or fields if _differ(getattr(self, key), fields[key].default)]
 
     def _given(self, keys: tuple[str, ...]) -> list[str]:
         return [key for key in keys if key in self.model_fields_set and getattr(self, key) is not None]
+
+
+def _differ(value: object, default: object) -> bool:
+    if not isinstance(value, SpecModel) or type(value) is not type(default):
+        return value != default
+    fields = type(value).model_fields.items()
+    return any(_differ(getattr(value, key), getattr(default, key)) for key, field in fields if rule_of(field) is None)
 
 
 class WithDefaultAlternative(SpecModel):

@@ -85,7 +85,10 @@ def test_images_are_at_even_steps_of_the_logarithm_of_the_range():
         (("orbit.arc.anomaly_deg=5",), "anomaly_deg has no meaning beside approach"),
         (("camera.distortion={k1: 0.1}",), "camera.distortion: has no effect in approach-orbit: leave it out"),
         (("sensors.altimeter.sigma_m=1",), "sensors.altimeter: has no effect in approach-orbit"),
-        (("orbit.imaging.detections=drawn",), "orbit.imaging.detections: drawn: has no effect in approach-orbit"),
+        (("orbit.imaging.detections=drawn",), "orbit.imaging.detections: has no effect in approach-orbit"),
+        (("orbit.imaging.craters.count=9",), "orbit.imaging.craters: has no effect in approach-orbit"),
+        (("orbit.imaging.errors.recall=0.5",), "orbit.imaging.errors: has no effect in approach-orbit"),
+        (("orbit.sightings.noise_px=0.1",), "orbit.sightings: has no effect in approach-orbit"),
         ((CRATERS,), ".yaml: craters: has no effect in approach-orbit"),
         (("orbit.arc.approach.miss_m=100", "orbit.arc.days=3.8579"), "its end at .* choose fewer days, or a larger"),
     ],
@@ -125,7 +128,7 @@ def test_an_estimator_that_may_not_fuse_the_prior_is_refused(tmp_path, capsys, e
 
 
 def test_the_scenario_suits_the_kind_and_says_what_is_known():
-    loaded = load_scenario("approach-orbit")
+    loaded = load_scenario("approach-orbit", ("body.shape=bennu-like",))  # lengths of craters follow from the body
     check_scenario(loaded, "approach-orbit")
     known = known_on_board(loaded.spec, "approach-orbit")
     assert {"shape", "reflectance"} <= {item.name for item in known.items if item.standing == "exactly"}

@@ -92,19 +92,21 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse missing sections, an orbit that is no approach, and what these trials would ignore."""
-        section = checked_orbit_section(scenario)
+        section, spec = checked_orbit_section(scenario), scenario.spec
         for name, part in (("imaging", section.imaging), ("arc.approach", section.arc.approach)):
             if part is None:
                 raise BoresightError(f"{scenario.path}: orbit.{name}: missing, but the experiment {cls.name} needs it")
-        spec, drawn = scenario.spec, section.imaging is not None and section.imaging.detections == "drawn"
-        for key, given in (
-            ("craters", spec.craters is not None),
-            ("camera.distortion", spec.camera.distortion is not None),
-            ("sensors.altimeter", spec.sensors.altimeter is not None),
-            ("orbit.imaging.detections: drawn", drawn),
-        ):
-            if given:
-                raise BoresightError(f"{scenario.path}: {key}: has no effect in {cls.name}: leave it out")
+        sections = (
+            ("craters", spec.craters),
+            ("camera.distortion", spec.camera.distortion),
+            ("sensors.altimeter", spec.sensors.altimeter),
+        )
+        unused = [key for key, part in sections if part is not None]
+        unused += [f"orbit.{key}" for key in section.stated("sightings")]
+        if section.imaging is not None:
+            unused += [f"orbit.imaging.{key}" for key in section.imaging.stated("detections", "craters", "errors")]
+        if unused:
+            raise BoresightError(f"{scenario.path}: {unused[0]}: has no effect in {cls.name}: leave it out")
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
