@@ -233,7 +233,7 @@ def _exposure(spec: ScenarioSpec) -> list[Item]:
         return [Item("blur", "absent"), Item("noise", "absent", "no `detector`"), *bright]
     blurred = detector.psf_sigma_px > 0.0
     blur = Item("blur", "not", f"{detector.psf_sigma_px:g} px") if blurred else Item("blur", "absent")
-    return [blur, Item("noise", "not"), *bright]
+    return [blur, Item("noise", "not"), *_nots(*detector.artefacts), *bright]
 
 
 def _optics(spec: ScenarioSpec) -> Iterator[Item]:

@@ -287,19 +287,21 @@ class Imager:
         index: int,
         noise: np.random.Generator,
         points_e_per_s: FloatArray | None = None,
+        velocity_body_m_s: FloatArray | None = None,
     ) -> tuple[Image, bool]:
         """Return the image (H, W) float32 of a view, and whether it came from the store.
 
         ``seed`` and ``index`` number it in the store; ``noise`` is the random generator of the detector, and
-        ``points_e_per_s`` the light of stars, which needs a detector.
+        ``points_e_per_s`` the light of stars, which needs a detector. ``velocity_body_m_s`` (3,) is the camera's about
+        the body, in body axes, of a trajectory that has it.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
         factor = drawn(self.brightness, noise)
         if factor != 1.0:
             radiance = np.float32(factor) * radiance
-        return (
-            radiance if self.detector is None else self.detector.expose(radiance, noise, points_e_per_s)
-        ), from_store
+        if self.detector is None:
+            return radiance, from_store
+        return self.detector.expose(radiance, noise, points_e_per_s, view, velocity_body_m_s), from_store
 
     def craters(self, view: View) -> CraterTruth:
         """Find the craters that a view shows; raise BoresightError if the body has none."""

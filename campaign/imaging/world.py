@@ -77,8 +77,9 @@ class RenderedImageSource:
         time_s = 0.0 if states is None else states.time_s[state]
         R_body_inertial = None if spec.stars is None else body_attitude(spec.stars, seed, trial, time_s)
         points_e_per_s = self._stars_e_per_s(view, R_body_inertial)
-        image, from_store = imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial), points_e_per_s)
         velocity_m_s = None if states is None else states.velocity(state)
+        noise = generator(seed, Stream.DETECTOR, trial)
+        image, from_store = imager.image(view, seed, trial, noise, points_e_per_s, velocity_m_s)
         return TrialImage(image, view, {}, "", time_s, from_store, velocity_m_s, R_body_inertial=R_body_inertial)
 
     def _stars_e_per_s(self, view: View, R_body_inertial: FloatArray | None) -> FloatArray | None:

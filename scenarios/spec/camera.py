@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.lens import Lens
+from boresight.scenarios.spec.artefacts import CosmicRaysSpec, MotionSpec, PixelsSpec, StrayLightSpec, WingSpec
 from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar
 
@@ -187,6 +188,17 @@ class CameraSpec(SpecModel):
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
 
 
+_ARTEFACTS = {
+    "psf_wings": "wings of the point spread",
+    "stray_light": "stray light",
+    "motion": "smear",
+    "pixels": "response of pixels",
+    "row_shift_s": "frame transfer",
+    "cosmic_rays": "cosmic rays",
+    "jpeg_quality": "compression",
+}
+
+
 class DetectorSpec(DrawnModel):
     """Conversion from radiance to digital numbers. Omit the section for ideal, noise-free images.
 
@@ -206,6 +218,39 @@ class DetectorSpec(DrawnModel):
     gain_e_per_dn: float = Field(25.0, gt=0, description="Electrons for one digital number")
     offset_dn: float = Field(10.0, ge=0, description="Bias level")
     bits: int = Field(12, ge=1, le=16, description="Digital numbers run from 0 to 2**bits - 1")
+    psf_wings: tuple[WingSpec, ...] = Field(
+        (),
+        exclude_if=lambda value: not value,
+        description="Further Gaussians of the point spread function; psf_sigma_px has the rest of the light",
+    )
+    stray_light: StrayLightSpec | None = optional("Light that the optics scatter over the frame")
+    motion: MotionSpec | None = optional("Motion of the camera during the exposure; rolling shutter")
+    pixels: PixelsSpec | None = optional("Flat field, hot and dead pixels")
+    row_shift_s: float | None = optional(
+        "Frame transfer without a shutter: time in which the image is shifted by one row; each pixel collects so long"
+        " the light of every row of its column",
+        gt=0,
+        le=10,
+    )
+    cosmic_rays: CosmicRaysSpec | None = optional("Tracks of charged particles")
+    jpeg_quality: int | None = optional("Quality of a JPEG compression of the digital numbers", ge=1, le=100)
+
+    @rule
+    def _artefacts_go_together(self) -> None:
+        share = sum(wing.share for wing in self.psf_wings)
+        if share >= 1.0:
+            raise ValueError(f"psf_wings: their shares are {share:g} together: leave light for psf_sigma_px")
+        if any(wing.sigma_px <= self.psf_sigma_px for wing in self.psf_wings):
+            raise ValueError(f"psf_wings: give each a sigma_px above psf_sigma_px {self.psf_sigma_px:g}")
+        if self.row_shift_s is not None and self.motion is not None and self.motion.row_delay_s is not None:
+            raise ValueError("row_shift_s: frame transfer has no rolling shutter: leave out this or motion.row_delay_s")
+        if self.jpeg_quality is not None and self.bits != 8:
+            raise ValueError(f"jpeg_quality: JPEG has 8 bits and the detector {self.bits}: give bits: 8")
+
+    @property
+    def artefacts(self) -> tuple[str, ...]:
+        """Names of the artefacts that images have, in words."""
+        return tuple(words for key, words in _ARTEFACTS.items() if self.stated(key))
 
     @rule
     def _offset_below_the_top(self) -> None:

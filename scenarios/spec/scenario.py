@@ -6,6 +6,7 @@ import re
 from pathlib import PurePosixPath
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from boresight.scenarios.spec.base import SpecModel, deviation, optional, rule
@@ -428,6 +429,13 @@ class ScenarioSpec(SpecModel):
         drawn = self.lighting.model_copy(update={"brightness": 1.0})
         if states is not None and states.sun_dir is not None and drawn != LightingSpec():
             raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
+
+    @rule
+    def _motion_of_a_trajectory(self) -> None:
+        motion = None if self.detector is None else self.detector.motion
+        states = None if self.viewpoint is None else self.viewpoint.states
+        if motion is not None and motion.trajectory and (states is None or not np.any(states.velocity_m_s or 0.0)):
+            raise ValueError("detector.motion.trajectory needs a viewpoint.trajectory that has velocities")
 
     @rule
     def _correlated_keys_are_drawn(self) -> None:

@@ -38,6 +38,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "camera.principal_point_px": (None, "[25, 19]"),
     "detector.full_well_e": (None, "20000"),
     "detector.bits": (None, "8"),
+    "detector.psf_wings": (None, "[{share: 0.2, sigma_px: 3}]"),
     "rendering.samples_per_pixel": (None, "9"),
     "brdf.H_function": (None, "'1981'"),
     "viewpoint.targets": (None, "[terminator]"),

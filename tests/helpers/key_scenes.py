@@ -92,6 +92,17 @@ SCENES = {
     + " rate_deg_day: 700}}\n",
     "pair": RENDERED.replace("fov_deg: 18.3", "fov_deg: 60")
     + "second_body: {body: {shape: dimorphos-like}, semi_major_axis_m: 800, inclination_deg: 30, node_deg: 50}\n",
+    # Exposed so long that the camera's flight at 0.1 m/s is seen.
+    "artefacts": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
+        "detector: {",
+        "detector: {exposure_s: 10, white_e_per_s: 2.0e+4, psf_wings: [{share: 0.1, sigma_px: 3}],"
+        " stray_light: {veil_share: 0.1, glow_e_per_s: 500}, cosmic_rays: {hits_per_s: 2},"
+        " motion: {trajectory: true, rate_deg_s: {normal: [0.1, 0.1, 0.1]}, row_delay_s: 0.05},"
+        " pixels: {response_sigma: 0.05, vignetting: 0.2, dead_share: 0.02, hot_share: 0.02},",
+    ),
+    "transfer": RENDERED.replace(
+        "detector: {", "detector: {row_shift_s: 1.0e-4, bits: 8, gain_e_per_dn: 400, jpeg_quality: 70, "
+    ),
     "above": RENDERED.replace("range_m: 2000", "altitude_m: 1700"),
     "together": RENDERED.replace("range_m: 2000", "range_m: {choice: [1800, 2500]}, off_pointing_deg: {choice: [0, 2]}")
     + "correlated: {keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}\n",
