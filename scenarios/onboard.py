@@ -10,7 +10,8 @@ from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.distribution import Scalar
-from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
+from boresight.scenarios.spec.onboard import OnboardSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _EQUATOR_RAD = (0.0, 0.0)
 

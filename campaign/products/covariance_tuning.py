@@ -33,7 +33,8 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import MachineError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
-from boresight.scenarios.spec.scenario import DeclaredSpec, OnboardSpec, ScenarioSpec
+from boresight.scenarios.spec.onboard import DeclaredSpec, OnboardSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _SEED = 0x7265_6865
 """Added to the seed of rehearsals, so that they do not show the views of a campaign with the same seed."""

@@ -33,7 +33,7 @@ from boresight.scenarios.load import LoadedScenario, canonical_json
 from boresight.scenarios.spec.base import SpecModel, digest
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.distribution import Uniform
-from boresight.scenarios.spec.scenario import OnboardSpec
+from boresight.scenarios.spec.onboard import OnboardSpec
 from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 Options = TypeVar("Options", bound=SpecModel)

@@ -70,6 +70,11 @@ class ViewpointSpec(DrawnModel):
         return None if self.trajectory is None else self.trajectory.states
 
     @property
+    def flies(self) -> bool:
+        """True for a trajectory that has velocities other than 0."""
+        return self.states is not None and bool(np.any(self.states.velocity_m_s or 0.0))
+
+    @property
     def range_bounds_m(self) -> tuple[float, float]:
         """The shortest and the longest range, or altitude where that is given, m."""
         distance = self.range_m or self.altitude_m

@@ -18,7 +18,7 @@ from boresight.estimators.tuned import PRODUCT, Rehearsals
 from boresight.reports.run.data import read_run
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.spec.scenario import DeclaredSpec
+from boresight.scenarios.spec.onboard import DeclaredSpec
 
 CAMPAIGN = """\
 title: A tiny campaign

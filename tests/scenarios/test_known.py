@@ -8,8 +8,9 @@ from pydantic import ValidationError
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.known import Item, Known, known_on_board, merged
 from boresight.scenarios.load import load_scenario, scenario_names
+from boresight.scenarios.spec.onboard import OnboardSpec
 from boresight.scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
-from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.

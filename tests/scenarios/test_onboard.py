@@ -11,7 +11,7 @@ from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_spec, onboard_sun_dir
 from boresight.scenarios.spec.body import HeightErrorSpec
-from boresight.scenarios.spec.scenario import OnboardSpec
+from boresight.scenarios.spec.onboard import OnboardSpec
 
 SUN = np.array([0.48, 0.36, -0.8])
 
