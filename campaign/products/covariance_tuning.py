@@ -116,7 +116,10 @@ def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
 
 
 def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
-    """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors."""
+    """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors.
+
+    The camera has artefacts of the kind and size of the flight camera's, and another pattern of pixels.
+    """
     errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
     body, detail = spec.body, spec.body.detail
     if detail is not None:
@@ -134,7 +137,10 @@ def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: in
             heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
     played = body.model_copy(update={"detail": detail, "height_error": heights or body.height_error})
     onboard = OnboardSpec(body=body, brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
-    changes = {"body": played, "brdf": errors.brdf or spec.brdf, "onboard": onboard}
+    changes: dict[str, object] = {"body": played, "brdf": errors.brdf or spec.brdf, "onboard": onboard}
+    if spec.detector is not None and spec.detector.pixels is not None:
+        pixels = spec.detector.pixels.model_copy(update={"seed": (spec.detector.pixels.seed + seed) % 2**32})
+        changes["detector"] = spec.detector.model_copy(update={"pixels": pixels})
     return replace(scenario, spec=spec.model_copy(update=changes))
 
 

@@ -80,6 +80,17 @@ DECLARED = {
 }  # fmt: skip
 
 
+def test_rehearsals_have_the_kind_of_the_cameras_artefacts_and_not_its_pattern(tmp_path):
+    write_campaign(tmp_path)
+    pixels = {"seed": 5, "hot_share": 0.01, "response_sigma": 0.02}
+    true = load_scenario(str(tmp_path / "scene.yaml"), [f"detector.pixels={json.dumps(pixels)}"])
+    played = [rehearsed_scenario(believed(true), OPTIONS, number).spec.detector for number in (0, 1)]
+    assert len({5, *(one.pixels.seed for one in played)}) == 3
+    for one in played:
+        again = one.model_copy(update={"pixels": one.pixels.model_copy(update={"seed": 5})})
+        assert again == true.spec.detector
+
+
 def test_every_declared_error_changes_the_rehearsals(tmp_path):
     assert DECLARED.keys() == DeclaredSpec.model_fields.keys()
     write_campaign(tmp_path)
