@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,33 +15,17 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import View
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View, pixel_to_opencv
 from boresight.scenarios.spec.artefacts import CosmicRaysSpec, PixelsSpec, StrayLightSpec
 
 _STEP_PX = 0.5  # that the image moves between two instants of an exposure, at most
-_MOST_STEPS = 400
+_MOST_PX = 500.0
+_SMALL_RAD = 0.02
+_PAD_PX = 12  # beyond which an edge no longer acts on the weights of a spline: 0.27^12 is 1e-7
 _TRACK_STEP_PX = 0.05
-
-
-def veiled(light: FloatArray, share: float) -> FloatArray:
-    """Spread a share of the light (H, W) evenly over the frame; the sum stays."""
-    return light if share == 0.0 else (1.0 - share) * light + share * light.mean()
-
-
-def glow(stray: StrayLightSpec, view: View) -> FloatArray:
-    """(H, W) electrons a second of the Sun's stray light, which fall linearly across the frame from the Sun's side.
-
-    The level is that at the corner or edge nearest to the Sun, and 0 at the opposite one. With the Sun on the line of
-    sight it is even, at half the level.
-    """
-    height, width = view.camera.height_px, view.camera.width_px
-    towards = view.T_cam_body.rotate(view.sun_dir_body)[:2]
-    towards /= max(float(np.linalg.norm(towards)), 1e-12)
-    u, v = np.arange(width) + 0.5 - 0.5 * width, np.arange(height) + 0.5 - 0.5 * height
-    along = towards[0] * u + towards[1] * v[:, None]
-    reach = 0.5 * (abs(towards[0]) * width + abs(towards[1]) * height)
-    share = 0.5 + 0.5 * along / reach if reach > 0.0 else np.full((height, width), 0.5)
-    return np.asarray(stray.glow_e_per_s * share, dtype=np.float64)
+Beyond = Literal["nearest", "constant"]
+"""What is beyond the edge of an image, as SciPy names it: its nearest pixel for a scene, zeros for points of light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,21 +42,52 @@ class Motion:
     velocity_m_s: FloatArray
     row_delay_s: float = 0.0
 
-    def smeared(self, light: FloatArray) -> FloatArray:
+    def smeared(self, light: FloatArray, beyond: Beyond = "nearest") -> FloatArray:
         """Return the mean (H, W) of the light (H, W) as it moves during the exposure of each row.
 
         The whole scene moves as points at the range of the body's origin do: parallax, the spin of the body, and
-        changes of light and shadow are left out. Light that enters the frame is that of its nearest edge pixel.
-        Values between pixels are those of a cubic spline, none below zero.
+        changes of light and shadow are left out. Beyond the frame is the light of the nearest pixel, or none with
+        ``constant``. Values between pixels are those of a cubic spline, those below zero set to zero, and the sum is
+        that of the spline. Raise `BoresightError` if the image moves too far, or a pixel shows what the camera does
+        not see at the middle of the exposure.
         """
-        first, last = (self._sources(share) for share in (-0.5, 0.5))
-        longest = float(np.linalg.norm(last - first, axis=-1).max())
-        steps = int(np.clip(np.ceil(longest / _STEP_PX), 1, _MOST_STEPS))
-        weights, total = spline_filter(light, order=3, mode="nearest"), np.zeros(light.shape)
+        padded = np.pad(light, _PAD_PX, mode="edge" if beyond == "nearest" else "constant")
+        weights, total = spline_filter(padded, order=3, mode="nearest"), np.zeros(light.shape)
+        steps, sources = max(math.ceil(self._length_px() / _STEP_PX), 1), self._path()
         for share in (np.arange(steps) + 0.5) / steps - 0.5:
-            columns, rows = np.moveaxis(self._sources(share) - 0.5, -1, 0)
-            total += map_coordinates(weights, [rows, columns], order=3, mode="nearest", prefilter=False)
-        return np.maximum(total / steps, 0.0)
+            columns, rows = np.moveaxis(pixel_to_opencv(sources(share)) + _PAD_PX, -1, 0)
+            total += map_coordinates(weights, [rows, columns], order=3, mode="nearest", prefilter=False) / steps
+        mean = np.maximum(total, 0.0)
+        return np.asarray(mean * (np.sum(total) / max(mean.sum(), np.finfo(float).tiny)), dtype=np.float64)
+
+    def _length_px(self) -> float:
+        """Return a bound of the way of the image in an exposure, in pixels without distortion."""
+        camera, rate, velocity = self.view.camera, np.abs(self.rate_rad_s), np.abs(self.velocity_m_s)
+        corners = np.array([(u, v) for u in (0, camera.width_px) for v in (0, camera.height_px)])
+        away_px = camera.undistorted(corners) - (camera.cx_px, camera.cy_px)
+        radius_px, focal_px = float(np.linalg.norm(away_px, axis=1).max()), max(camera.fx_px, camera.fy_px)
+        turn = (focal_px + radius_px**2 / focal_px) * np.linalg.norm(rate[:2]) + radius_px * rate[2]
+        flight = (focal_px * np.linalg.norm(velocity[:2]) + radius_px * velocity[2]) / self._range_m
+        length_px = self.exposure_s * float(turn + flight)
+        if length_px > _MOST_PX:
+            raise BoresightError(
+                f"detector.motion: the image moves by {length_px:.0f} px in an exposure, above {_MOST_PX:g}: give lower"
+                " rates or a shorter exposure_s"
+            )
+        return length_px
+
+    @property
+    def _range_m(self) -> float:
+        return float(np.linalg.norm(self.view.T_cam_body.translation_m))
+
+    def _path(self) -> Callable[[float], FloatArray]:
+        """Return `_sources`; for a small motion, to 0.01 px, as the parabola through three of its values."""
+        turned = np.linalg.norm(self.rate_rad_s) + np.linalg.norm(self.velocity_m_s) / self._range_m
+        if self.exposure_s * turned > _SMALL_RAD:
+            return self._sources
+        before, middle, after = (self._sources(share) for share in (-0.5, 0.0, 0.5))
+        slope, bend = after - before, 2.0 * (before - 2.0 * middle + after)
+        return lambda share: middle + share * (slope + share * bend)
 
     def _sources(self, share: float) -> FloatArray:
         """(H, W, 2) where the image at mid-exposure has what each pixel sees at a share of its exposure, -0.5 to 0.5.
@@ -80,25 +98,46 @@ class Motion:
         height, width = camera.height_px, camera.width_px
         pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
         time_s = share * self.exposure_s + (np.arange(height) - 0.5 * (height - 1)) * self.row_delay_s
-        range_m = float(np.linalg.norm(self.view.T_cam_body.translation_m))
         turns = Rotation.from_rotvec(time_s[:, None] * self.rate_rad_s).as_matrix()
-        points_m = np.einsum("hij,hwj->hwi", turns, range_m * camera.unproject(pixels))
+        points_m = np.einsum("hij,hwj->hwi", turns, self._range_m * camera.unproject(pixels))
         found = camera.project(points_m + time_s[:, None, None] * self.velocity_m_s)
-        return np.where(np.isfinite(found), found, pixels)
+        if not np.isfinite(found).all():
+            raise BoresightError(
+                "detector.motion: a pixel shows what is behind the camera, or outside of its lens, at the middle of the"
+                " exposure: give lower rates, or a shorter exposure_s or row_delay_s"
+            )
+        return found
 
 
-@lru_cache(maxsize=4)
+def background_gradient(stray: StrayLightSpec, view: View) -> FloatArray:
+    """(H, W) electrons a second of a linear background across the frame, brightest on the side of the Sun.
+
+    It is ``gradient_e_per_s`` at the edge or corner on that side and 0 at the opposite one, whatever the angle to the
+    Sun: of the Sun's direction only the azimuth about the line of sight is used. On the line of sight, where it has
+    none, the background is even, at half the level; close to it the azimuth turns fast.
+    """
+    height, width = view.camera.height_px, view.camera.width_px
+    towards = view.T_cam_body.rotate(view.sun_dir_body)[:2]
+    towards /= max(float(np.linalg.norm(towards)), 1e-12)
+    u, v = np.arange(width) + 0.5 - 0.5 * width, np.arange(height) + 0.5 - 0.5 * height
+    along = towards[0] * u + towards[1] * v[:, None]
+    reach = 0.5 * (abs(towards[0]) * width + abs(towards[1]) * height)
+    share = 0.5 + 0.5 * along / reach if reach > 0.0 else np.full((height, width), 0.5)
+    return np.asarray(stray.gradient_e_per_s * share, dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
 def pixel_pattern(spec: PixelsSpec, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     """Return the relative response (H, W) and the further dark current (H, W), e/s, of the pixels of a camera."""
     count = shape[0] * shape[1]
     of_response, of_places, of_levels = (np.random.default_rng((spec.seed, part)) for part in range(3))
     response = np.maximum(1.0 + spec.response_sigma * of_response.standard_normal(shape), 0.0)
-    v, u = ((np.arange(size) + 0.5) / size - 0.5 for size in shape)
-    corner = (0.5 * shape[0]) ** 2 + (0.5 * shape[1]) ** 2
-    response *= 1.0 - spec.vignetting * ((shape[0] * v[:, None]) ** 2 + (shape[1] * u) ** 2) / corner
+    v, u = (np.arange(size) + 0.5 - 0.5 * size for size in shape)
+    response *= 1.0 - spec.vignetting * (v[:, None] ** 2 + u**2) / (0.25 * (shape[0] ** 2 + shape[1] ** 2))
     # From both ends of one permutation: a larger share keeps the pixels of a smaller one, and none is both.
     places, hot_e_per_s = of_places.permutation(count), np.zeros(count)
-    dead, hot = (int(np.ceil(share * count)) for share in (spec.dead_share, spec.hot_share))
+    dead = math.ceil(spec.dead_share * count)
+    hot = min(math.ceil(spec.hot_share * count), count - dead)
     response.ravel()[places[:dead]] = 0.0
     hot_e_per_s[places[count - hot :]] = of_levels.exponential(spec.hot_e_per_s, count)[places[count - hot :]]
     for values in (response, hot_e_per_s):
@@ -110,15 +149,20 @@ def cosmic_rays(
     spec: CosmicRaysSpec, shape: tuple[int, int], exposure_s: float, rng: np.random.Generator
 ) -> FloatArray:
     """Draw the electrons (H, W) of the tracks in an exposure; what leaves the frame is lost."""
-    electrons = np.zeros(shape)
-    for _ in range(rng.poisson(spec.hits_per_s * exposure_s)):
-        u, v, angle = rng.uniform((0.0, 0.0, 0.0), (shape[1], shape[0], 2.0 * np.pi))
-        length_px = rng.exponential(spec.length_px)
-        count = int(np.ceil(length_px / _TRACK_STEP_PX))
-        along = (np.arange(count) + 0.5) / max(count, 1) * length_px
+    electrons, (height, width), mean_px = np.zeros(shape), shape, spec.length_px
+    # A track of length L reaches into the frame from a middle up to L / 2 beyond it. There are (W + L) (H + L) / (W H)
+    # times as many of its length as with their middle in the frame; an exponential law times that is a sum of gammas.
+    areas = np.array([width * height, (width + height) * mean_px, 2.0 * mean_px**2])
+    hits = rng.poisson(spec.hits_per_s * exposure_s * areas.sum() / areas[0])
+    for power in rng.choice(3, hits, p=areas / areas.sum()):
+        length_px = rng.gamma(1.0 + power, mean_px)
+        beyond = 0.5 * length_px
+        u, v, angle = rng.uniform((-beyond, -beyond, 0.0), (width + beyond, height + beyond, 2.0 * np.pi))
+        count = max(math.ceil(length_px / _TRACK_STEP_PX), 1)
+        along = ((np.arange(count) + 0.5) / count - 0.5) * length_px
         columns = np.floor(u + along * np.cos(angle)).astype(np.int64)
         rows = np.floor(v + along * np.sin(angle)).astype(np.int64)
-        inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         np.add.at(electrons, (rows[inside], columns[inside]), spec.e_per_px * length_px / count)
     return electrons
 

@@ -1,4 +1,4 @@
-"""Frame detector: point spread, artefacts, shot noise, saturation, read noise, quantisation, compression."""
+"""Frame detector: point spread, motion, response, shot noise, cosmic rays, saturation, read-out, compression."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.special import ive
 
-from boresight.renderers.artefacts import Motion, cosmic_rays, glow, jpeg_compressed, pixel_pattern, veiled
+from boresight.renderers.artefacts import (
+    Beyond,
+    Motion,
+    background_gradient,
+    cosmic_rays,
+    jpeg_compressed,
+    pixel_pattern,
+)
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
@@ -41,8 +48,8 @@ class Detector:
         """Expose one frame of an (H, W) mean radiance factor I/F, which is not modified.
 
         ``rng`` is the source of all that is drawn for the frame, ``points_e_per_s`` (H, W) the light of point
-        sources, blurred by ``psf_sigma_px`` already (`renderers.stars`). Motion and the glow of stray light need the
-        ``view``, ``motion.trajectory`` the camera's velocity (3,) about the body in body axes. Return (H, W) whole
+        sources, blurred by ``psf_sigma_px`` already (`renderers.stars`). Motion and the gradient of stray light need
+        the ``view``, ``motion.trajectory`` the camera's velocity (3,) about the body in body axes. Return (H, W) whole
         digital numbers from 0 to 2**bits - 1. Raise `BoresightError` if the image is not two-dimensional, holds
         negative or non-finite values, or if view or velocity are needed and missing.
         """
@@ -52,14 +59,12 @@ class Detector:
                 f"the detector needs an (H, W) image of finite radiance factors of at least 0, not one of shape"
                 f" {image.shape} between {image.min(initial=0.0)} and {image.max(initial=0.0)}"
             )
-        # A stream of its own, so that neither the law of the exposure nor artefacts change the noise.
+        # A stream of its own, so that the draws of exposure, motion and rays are not those of shot and read noise.
         own, exposure_s = rng.spawn(1)[0], self.spec.exposure_s
         exposure_s = exposure_s if isinstance(exposure_s, float) else exposure_s.draw(own)
         of_motion, of_rays = own.spawn(2)
         motion = self._motion(exposure_s, view, velocity_body_m_s, of_motion)
-        rate_e_per_s = self.rate_e_per_s(image, exposure_s, motion, points_e_per_s)
-        if self.spec.stray_light is not None and self.spec.stray_light.glow_e_per_s:
-            rate_e_per_s = rate_e_per_s + self._counted(glow(self.spec.stray_light, _given(view)), exposure_s)
+        rate_e_per_s = self.rate_e_per_s(image, exposure_s, motion, points_e_per_s, view)
         return self.digitise(self.collect(rate_e_per_s * exposure_s, exposure_s, rng, of_rays), rng)
 
     def _motion(
@@ -85,34 +90,41 @@ class Detector:
         exposure_s: float,
         motion: Motion | None = None,
         points_e_per_s: FloatArray | None = None,
+        view: View | None = None,
     ) -> FloatArray:
-        """Return the mean electrons (H, W) that pixels collect a second, of the scene and of the dark current."""
+        """Return the mean electrons (H, W) a second of the scene, its background and the dark current.
+
+        Parameters are those of `expose`. Raise `BoresightError` if the view is needed and missing.
+        """
         spec = self.spec
         # The optics blur the light before it is counted, so the counts of neighbouring pixels are independent. Dark
         # electrons are counted with them: a sum of Poisson variables is one too.
-        light = self._scattered(spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px))
+        light = self._scattered(spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px), "nearest")
         light = light if motion is None else motion.smeared(light)
         rate_e_per_s = self._counted(light, exposure_s) + spec.dark_e_per_s
         if spec.pixels is not None:
             rate_e_per_s = rate_e_per_s + pixel_pattern(spec.pixels, light.shape)[1]
         if points_e_per_s is not None:
-            points = self._scattered(points_e_per_s)
+            points = self._scattered(points_e_per_s, "constant")
             # Stars are too far to be moved by the camera's velocity.
-            points = points if motion is None else replace(motion, velocity_m_s=np.zeros(3)).smeared(points)
+            points = points if motion is None else replace(motion, velocity_m_s=np.zeros(3)).smeared(points, "constant")
             rate_e_per_s = rate_e_per_s + self._counted(points, exposure_s)
+        if spec.stray_light is not None and spec.stray_light.gradient_e_per_s:
+            background = background_gradient(spec.stray_light, _given(view))
+            rate_e_per_s = rate_e_per_s + self._counted(background, exposure_s)
         return rate_e_per_s
 
-    def _scattered(self, light: FloatArray) -> FloatArray:
+    def _scattered(self, light: FloatArray, beyond: Beyond) -> FloatArray:
         """Scatter light (H, W), blurred by ``psf_sigma_px`` already, into the wings of the point spread and a veil."""
-        spec = self.spec
+        spec, veil = self.spec, 0.0 if self.spec.stray_light is None else self.spec.stray_light.veil_share
         if spec.psf_wings:
             # Variances of successive convolutions add.
             wings = [
-                wing.share * blurred(light, math.sqrt(wing.sigma_px**2 - spec.psf_sigma_px**2))
+                wing.share * blurred(light, math.sqrt(wing.sigma_px**2 - spec.psf_sigma_px**2), beyond)
                 for wing in spec.psf_wings
             ]
             light = (1.0 - sum(wing.share for wing in spec.psf_wings)) * light + sum(wings)
-        return light if spec.stray_light is None else veiled(light, spec.stray_light.veil_share)
+        return (1.0 - veil) * light + veil * light.mean() if veil else light
 
     def _counted(self, light: FloatArray, exposure_s: float) -> FloatArray:
         """Return what pixels count a second of light (H, W), that of the transfer of the frame included."""
@@ -145,12 +157,12 @@ class Detector:
 
 def _given(view: View | None) -> View:
     if view is None:
-        raise BoresightError("motion and the glow of stray light need the view of the image")
+        raise BoresightError("motion and the gradient of stray light need the view of the image")
     return view
 
 
-def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
-    """Convolve an (H, W) image with a Gaussian, repeating the edge pixels beyond the edge.
+def blurred(image: FloatArray, sigma_px: float, beyond: Beyond = "nearest") -> FloatArray:
+    """Convolve an (H, W) image with a Gaussian; beyond the edge are its nearest pixels, or zeros with ``constant``.
 
     The kernel is the discrete Gaussian exp(-t) I_n(t) with t = sigma**2 (Lindeberg 1990). Unlike a sampled Gaussian it
     adds exactly sigma**2 to the variance of a spot even where sigma is below a pixel, and variances of successive
@@ -159,8 +171,8 @@ def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
     if sigma_px == 0.0:
         return image
     kernel = point_spread(sigma_px)
-    rows = correlate1d(image, kernel, axis=0, mode="nearest")
-    spread: FloatArray = correlate1d(rows, kernel, axis=1, mode="nearest")
+    rows = correlate1d(image, kernel, axis=0, mode=beyond)
+    spread: FloatArray = correlate1d(rows, kernel, axis=1, mode=beyond)
     return spread
 
 

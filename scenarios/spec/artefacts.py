@@ -17,26 +17,27 @@ class WingSpec(SpecModel):
 
 
 class StrayLightSpec(SpecModel):
-    """Light that the optics scatter: a share of that in the frame, and that of the Sun outside it."""
+    """Light beside the image: a share of that in the frame, and a linear background."""
 
     veil_share: float = Field(
         0.0, ge=0, lt=1, description="Share of the light in the frame that is spread evenly over it"
     )
-    glow_e_per_s: float = Field(
+    gradient_e_per_s: float = Field(
         0.0,
         ge=0,
-        le=1e12,
-        description="Electrons a second at the edge of the frame towards the Sun; they fall linearly to 0 at the other",
+        le=1e9,
+        description="Linear background: electrons a second at the edge or corner of the frame on the side of the Sun,"
+        " 0 at the opposite one. The level does not depend on the angle to the Sun",
     )
 
     @rule
     def _something(self) -> None:
-        if not self.veil_share and not self.glow_e_per_s:
-            raise ValueError("both are 0: give veil_share or glow_e_per_s, or leave the section out")
+        if not self.veil_share and not self.gradient_e_per_s:
+            raise ValueError("both are 0: give veil_share or gradient_e_per_s, or leave the section out")
 
 
 class MotionSpec(SpecModel):
-    """Motion of the camera during the exposure, at a constant rate: it smears the image.
+    """Motion of the camera during the exposure, at constant rates: it smears the image.
 
     The true pose of an image is that at the middle of the exposure of the middle row.
     """
@@ -64,14 +65,18 @@ class PixelsSpec(SpecModel):
     """Differences of pixels, drawn once from a seed: all images of a camera have the same."""
 
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Seed of all that differs")
-    response_sigma: float = Field(0.0, ge=0, le=1, description="Flat field: RMS of the relative response of pixels")
+    response_sigma: float = Field(0.0, ge=0, le=0.3, description="Flat field: RMS of the relative response of pixels")
     vignetting: float = Field(
-        0.0, ge=0, le=1, description="Flat field: share of the light that the corners lose; it grows with r^2"
+        0.0,
+        ge=0,
+        le=1,
+        description="Flat field: share of the light that the corners lose. The loss grows with the square of the"
+        " distance from the middle of the frame",
     )
     dead_share: float = Field(0.0, ge=0, le=1, description="Share of pixels that no light reaches")
     hot_share: float = Field(0.0, ge=0, le=1, description="Share of pixels with a further dark current")
     hot_e_per_s: float = Field(
-        10_000.0, gt=0, le=1e12, description="Mean dark current of hot pixels, exponentially distributed"
+        10_000.0, gt=0, le=1e9, description="Mean dark current of hot pixels, exponentially distributed"
     )
 
     @rule
@@ -82,7 +87,9 @@ class PixelsSpec(SpecModel):
                 " or leave the section out"
             )
         if self.stated("hot_e_per_s") and not self.hot_share:
-            raise ValueError("hot_e_per_s has no part without hot_share: give both, or leave it out")
+            raise ValueError("hot_e_per_s: there are no hot pixels: give hot_share too, or leave it out")
+        if self.stated("seed") and not self.stated("response_sigma", "dead_share", "hot_share"):
+            raise ValueError("seed: vignetting is not drawn: leave the seed out")
         if self.dead_share + self.hot_share > 1.0:
             raise ValueError(f"dead_share {self.dead_share:g} and hot_share {self.hot_share:g} are above 1 together")
 
@@ -90,6 +97,6 @@ class PixelsSpec(SpecModel):
 class CosmicRaysSpec(SpecModel):
     """Straight tracks of charged particles, at random places and in random directions, in each image anew."""
 
-    hits_per_s: float = Field(gt=0, le=1e6, description="Mean number of tracks in the frame a second of exposure")
+    hits_per_s: float = Field(gt=0, le=1e6, description="Mean number of tracks a second whose middle is in the frame")
     e_per_px: float = Field(1000.0, gt=0, le=1e9, description="Electrons on each pixel length of a track")
-    length_px: float = Field(5.0, gt=0, le=1000, description="Mean length of a track, exponentially distributed")
+    length_px: float = Field(5.0, ge=0.01, le=1000, description="Mean length of a track, exponentially distributed")

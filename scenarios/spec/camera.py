@@ -188,14 +188,15 @@ class CameraSpec(SpecModel):
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
 
 
+_MOST_TRACKS = 1e5  # in one image: about 5 s
 _ARTEFACTS = {
     "psf_wings": "wings of the point spread",
     "stray_light": "stray light",
-    "motion": "smear",
-    "pixels": "response of pixels",
+    "motion": "motion during the exposure",
+    "pixels": "flat field and defects of pixels",
     "row_shift_s": "frame transfer",
     "cosmic_rays": "cosmic rays",
-    "jpeg_quality": "compression",
+    "jpeg_quality": "JPEG compression",
 }
 
 
@@ -223,12 +224,12 @@ class DetectorSpec(DrawnModel):
         exclude_if=lambda value: not value,
         description="Further Gaussians of the point spread function; psf_sigma_px has the rest of the light",
     )
-    stray_light: StrayLightSpec | None = optional("Light that the optics scatter over the frame")
+    stray_light: StrayLightSpec | None = optional("Light beside the image: a veil and a linear background")
     motion: MotionSpec | None = optional("Motion of the camera during the exposure; rolling shutter")
     pixels: PixelsSpec | None = optional("Flat field, hot and dead pixels")
     row_shift_s: float | None = optional(
-        "Frame transfer without a shutter: time in which the image is shifted by one row; each pixel collects so long"
-        " the light of every row of its column",
+        "Frame transfer without a shutter: time of the shift by one row. Each pixel collects light from every row of"
+        " its column for this time",
         gt=0,
         le=10,
     )
@@ -246,6 +247,9 @@ class DetectorSpec(DrawnModel):
             raise ValueError("row_shift_s: frame transfer has no rolling shutter: leave out this or motion.row_delay_s")
         if self.jpeg_quality is not None and self.bits != 8:
             raise ValueError(f"jpeg_quality: JPEG has 8 bits and the detector {self.bits}: give bits: 8")
+        exposure_s = self.exposure_s if isinstance(self.exposure_s, float) else self.exposure_s.median
+        if self.cosmic_rays is not None and self.cosmic_rays.hits_per_s * exposure_s > _MOST_TRACKS:
+            raise ValueError(f"cosmic_rays.hits_per_s: more than {_MOST_TRACKS:g} tracks in an exposure: give less")
 
     @property
     def artefacts(self) -> tuple[str, ...]:

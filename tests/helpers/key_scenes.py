@@ -96,7 +96,7 @@ SCENES = {
     "artefacts": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
         "detector: {",
         "detector: {exposure_s: 10, white_e_per_s: 2.0e+4, psf_wings: [{share: 0.1, sigma_px: 3}],"
-        " stray_light: {veil_share: 0.1, glow_e_per_s: 500}, cosmic_rays: {hits_per_s: 2},"
+        " stray_light: {veil_share: 0.1, gradient_e_per_s: 500}, cosmic_rays: {hits_per_s: 2},"
         " motion: {trajectory: true, rate_deg_s: {normal: [0.1, 0.1, 0.1]}, row_delay_s: 0.05},"
         " pixels: {response_sigma: 0.05, vignetting: 0.2, dead_share: 0.02, hot_share: 0.02},",
     ),
