@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _noise_of_pixels(image: NDArray[np.float32]) -> float:
-    return background_of(np.diff(image, axis=1))[1] / np.sqrt(2.0)
+    return background_of(np.diff(image, axis=1))[1] / math.sqrt(2.0)
 
 
 def background_of(sky: NDArray[np.float32]) -> tuple[float, float]:
