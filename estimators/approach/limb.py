@@ -128,7 +128,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 

@@ -14,7 +14,9 @@ from boresight.scenarios.compiled import compiler
 kernel, inner = compiler(Path(__file__).parent)
 
 _REACH_PX, _STEP_PX, _FINE_PX = 4.0, 0.5, 0.125
-_PIXEL_SIGMA = 1.0 / np.sqrt(12.0)
+# Variances, px^2, of the square of a pixel and of OpenCV's cubic interpolation: the integral of x^2 w(x) over the
+# kernel w is 2 (1 + 2 a) / 15, and negative as a = -0.75.
+_PIXEL_PX2, _CUBIC_PX2 = 1.0 / 12.0, -1.0 / 15.0
 _FITS = 5
 _DAMPING = 1e-9
 _MOST_GAIN = 1e3
@@ -41,7 +43,10 @@ def fit_limb(
     that of the limb, cos psi = 1 - d / rho. With the cosines s and t of the Sun to the normal of the limb and to the
     camera, ``towards_sun`` (n, 2), the terminator is where s cos psi + t sin psi = 0, and a Lambertian ball is as
     bright as that. Other laws have other shares of the two terms: that of Lommel and Seeliger is a step where Lambert's
-    fades. So both shares are fitted with the place, to profiles blurred by the point spread and the pixel.
+    fades. So both shares are fitted with the place, to profiles blurred by the point spread, the pixel and the
+    interpolation of the samples. Blur also moves the edge of a disc inwards, by sigma^2 / (2 rho), as more of what is
+    around a point of it is outside. In a profile, light at the distance r from the middle of the ball has the weight
+    sqrt(r) for that: the Gaussian in two dimensions, averaged over the angle, for r far above sigma.
 
     ``samples`` (n, m) are at `ACROSS_PX`, and the fit starts at ``start_px`` (n,).
     """
@@ -52,8 +57,9 @@ def fit_limb(
     sine = np.sqrt(1.0 - cosine**2)
     s, t = towards_sun[:, :1], towards_sun[:, 1:]
     lit = (fine < 0.0) & (s * cosine + t * sine > 0.0)
-    spread = np.exp(-0.5 * (fine[:, None] - fine) ** 2 / (blur_px**2 + _PIXEL_SIGMA**2))
-    spread /= spread.sum(axis=1, keepdims=True)
+    spread = np.exp(-0.5 * (fine[:, None] - fine) ** 2 / (blur_px**2 + _PIXEL_PX2 + _CUBIC_PX2))
+    spread *= np.sqrt(np.maximum(radius_px + fine[:, None], _FINE_PX))
+    spread /= spread.sum(axis=0)
     terms = (lit * cosine) @ spread, (lit * sine) @ spread
     bright = np.maximum(samples.max(axis=1), 1e-300)
     place, gain = _fit(samples / bright[:, None], *terms, np.nan_to_num(start_px), float(fine[0]))

@@ -227,7 +227,7 @@ def test_dust_around_a_comet_is_not_its_limb(trial):
     assert bright.status == "ok"
     moved = CAMERA.project(bright.pose.translation_m) - CAMERA.project(dark.pose.translation_m)
     assert np.linalg.norm(moved) < 0.03
-    assert bright.pose.translation_m[2] / dark.pose.translation_m[2] == pytest.approx(1.0, abs=1e-3)
+    assert bright.pose.translation_m[2] / dark.pose.translation_m[2] == pytest.approx(1.0, abs=1.5e-3)
 
 
 @pytest.mark.parametrize("name", SIGHTS)

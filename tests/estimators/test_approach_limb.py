@@ -42,25 +42,32 @@ def test_rays_from_outside_meet_the_far_side_or_nothing():
     assert np.isnan(radius[18]) and np.isnan(points[18]).all()
 
 
-@pytest.mark.parametrize("flat", [False, True], ids=["lambert", "flat"])
-@pytest.mark.parametrize("phase_deg", [5.0, 30.0, 80.0, 120.0])
-def test_the_profile_finds_the_limb(phase_deg, flat):
-    """A ball of 60 px, drawn eight times as fine: lit by Lambert's law, or as bright wherever it is lit."""
+@pytest.mark.parametrize(
+    ("phase_deg", "radius_px", "flat"),
+    [
+        (phase, radius, flat)
+        for phase in (5.0, 30.0, 80.0)
+        for radius, flat in ((6.0, False), (30.0, False), (30.0, True))
+    ]
+    + [(120.0, 30.0, False), (120.0, 30.0, True)],
+)
+def test_the_profile_finds_the_limb(phase_deg, radius_px, flat):
+    """A ball, drawn eight times as fine: lit by Lambert's law, or as bright wherever it is lit."""
     sun = np.array([np.sin(np.radians(phase_deg)), 0.0, -np.cos(np.radians(phase_deg))])
     fine = Camera(100 * 8, 100 * 8, 8e4, 8e4, 50.3 * 8, 49.6 * 8)
     pose = look_at(np.array([0.0, 0.0, -1000.0]))
-    ball = Ellipsoid(np.zeros(3), np.eye(3) / 3.0**2)
+    ball = Ellipsoid(np.zeros(3), np.eye(3) / (0.1 * radius_px) ** 2)
     image = ball.render(View(fine, pose, pose.rotation.T @ sun)).astype(np.float64)
     image = (image > 0.0).astype(np.float64) if flat else image
     image = gaussian_filter(cv2.resize(image, (100, 100), interpolation=cv2.INTER_AREA), 0.7)
     angle = np.radians(np.linspace(-50.0, 50.0, 21))
     normals = np.column_stack([np.cos(angle), np.sin(angle)])
-    limb = [50.3, 49.6] + 30.0 * normals
+    limb = [50.3, 49.6] + radius_px * normals
     samples = sampled(Patch(image, 0, 0), limb[:, None] + ACROSS_PX[:, None] * normals[:, None])
     towards = np.column_stack([normals @ sun[:2], np.full(21, -sun[2])])
-    place, level = fit_limb(samples, towards, np.full(21, 0.5), 30.0, 0.7)
-    assert np.abs(place).max() < (0.08 if phase_deg < 100 else 0.3)
-    assert abs(place.mean()) < (0.06 if phase_deg < 100 else 0.1)
+    place, level = fit_limb(samples, towards, np.full(21, 0.5), radius_px, 0.7)
+    assert np.abs(place).max() < 0.1
+    assert abs(place.mean()) < 0.03
     assert (level > 0.0).all()
 
 
