@@ -27,8 +27,9 @@ _SPACING_PX = 1.5
 _LEAST_RAYS, _MOST_RAYS = 48, 256
 _BORDER_PX = 5.0
 _SCAN_STEP_PX, _MOST_SAMPLES = 0.5, 256
-_MOST_STEPS, _MOVED_PX = 10, 0.02
+_MOST_STEPS, _WHOLE_STEPS, _MOVED_PX = 10, 3, 0.02
 _HUBER = 1.5
+_SIGMAS = 3.0  # of the prior's error, in which the limb is searched
 _ARCS = 12
 _LIT_PX = 1.0
 _LIMB_SHARE = 0.2  # of the bright level: dust before the sky of 67P has up to a tenth
@@ -99,13 +100,14 @@ class _Scene(_Plan):
 class LimbEstimator:
     """Fits the position to sub-pixel points on the lit limb of the onboard shape.
 
-    Rays from the middle of the body find the limb from outside on the side of the Sun; Christian and Robinson's
-    solution for the shape's ellipsoid is the start, or the prior where the frame cuts the body. The outline of the
-    onboard shape is then fitted by robust Gauss-Newton steps: profiles of brightness across it give sub-pixel points,
-    and distances along the normals are minimised. The three coordinates of the position are fused with the prior; the
-    attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is at least as large
-    as the scatter where the frame cuts the body, and what the error of the prior's attitude does to the position. Half
-    of the bias's variance is stated as common to all images.
+    Rays from the middle of the body find the limb from outside on the side of the Sun, and Christian and Robinson's
+    solution for the shape's ellipsoid is the start. Where the frame cuts the body, the limb is searched along the
+    normals of the prior's outline, within three of the prior's standard deviations and then ever nearer. The outline of
+    the onboard shape is then fitted by robust Gauss-Newton steps: profiles of brightness across it give sub-pixel
+    points, and distances along the normals are minimised. The three coordinates of the position are fused with the
+    prior; the attitude stays that of the prior. The covariance holds the scatter of the points, a bias, which is at
+    least as large as the scatter where the frame cuts the body, and what the error of the prior's attitude does to the
+    position. Half of the bias's variance is stated as common to all images.
 
     Use it when
     -----------
@@ -114,8 +116,9 @@ class LimbEstimator:
     It fails when
     -------------
     Fewer than ``points_min`` points of the lit limb are in the image: the body fills the frame, or its mean radius is
-    below 4 px; or the frame cuts it and the points are ``misfit_px`` off the outline. The outline must be that of the
-    shape: errors of the shape enter in full. Light around the body is left out up to a fifth of its bright level.
+    below 4 px; the fit does not settle; or the frame cuts it and the points are ``misfit_px`` off the outline. The
+    outline must be that of the shape: errors of the shape enter in full. Light around the body is left out up to a
+    fifth of its bright level.
 
     Cost
     ----
@@ -159,15 +162,17 @@ class LimbEstimator:
             body = body.brighter(_LIMB_SHARE)
             count = _ray_count(size_px)
             scene = _Scene(frame, camera, ray_directions(count), self._outline.silhouette(prior), body)
-            begun = self._scan(scene, self._place(scene))
+            begun = self._search(scene) if body.cut else self._scan(scene, self._place(scene))
             fit = None if begun is None else self._refine(scene, begun)
             stages = () if begun is None else (Stage("horizon", begun),)
             told: dict[str, float | int | str] = {"extent_px": body.extent_px}
-            if fit is None:
-                failure = f"fewer than points_min {self._options.points_min} points of the lit limb are in the image"
-                failure += f", or the body's radius is below {ACROSS_PX[-1]:g} px"
+            if fit is None or isinstance(fit, str):
+                failure = fit or (
+                    f"fewer than points_min {self._options.points_min} points of the lit limb are in the image"
+                    f", or the body's radius is below {ACROSS_PX[-1]:g} px"
+                )
                 return Estimate("failed", failure, stages=stages, diagnostics=told, timings_s=clock.seconds)
-            pose, points, residual_px, weight = fit
+            pose, points, residual_px, weight, share = fit
             misfit_px = float(np.sqrt((residual_px**2).mean()))
             told |= {"limb_points": len(residual_px), "residual_px": misfit_px}
             if body.cut and misfit_px > self._options.misfit_px:
@@ -176,7 +181,8 @@ class LimbEstimator:
             # Each point measures g . (t - t_prior) + q . w + noise; the weighted sums of these are all that they tell.
             weighted = weight[:, None] * points.by_position
             by_pose = weighted.T @ np.hstack([points.by_attitude, points.by_position])
-            measured = weighted.T @ (residual_px + points.by_position @ (pose.translation_m - prior.translation_m))
+            off_m = pose.translation_m - prior.translation_m
+            measured = weighted.T @ (share * residual_px + points.by_position @ off_m)
             arc = points.ray * _ARCS // count
             noise = grouped_covariance(weighted * residual_px[:, None], arc, 3)
             # The points of a cut body are on a short arc, of which a misfit of the shape may move all.
@@ -238,14 +244,11 @@ class LimbEstimator:
         return LimbPoints(*(part[lit] for part in parts))
 
     def _place(self, scene: _Scene) -> Pose:
-        """Shift the prior across the line of sight: the outline onto the lit pixels on the side of the Sun.
-
-        Left as it is where the frame cuts the body.
-        """
+        """Shift the prior across the line of sight: the outline onto the lit pixels on the side of the Sun."""
         body, camera, prior = scene.body, scene.camera, scene.frame.prior_T_cam_body
         centre_px = camera.project(prior.translation_m)
         radius_px, _ = self._outline.at(prior, camera, centre_px, scene.rays, scene.edges)
-        if body.cut or not np.isfinite(radius_px).any():
+        if not np.isfinite(radius_px).any():
             return prior
         outline = centre_px + radius_px[:, None] * scene.rays
         lit = row_ends(body.lit) + np.array([body.patch.column, body.patch.row]) + 0.5
@@ -275,8 +278,7 @@ class LimbEstimator:
         limb = limb[sound[limb.ray]]
         if len(limb.ray) < self._options.points_min:
             return None
-        # The ellipsoid's horizon from a part of an irregular limb is worse than a prior that has the body in view.
-        pose = start if scene.body.cut else self._from_horizon(camera.unproject(seen[limb.ray]), start)
+        pose = self._from_horizon(camera.unproject(seen[limb.ray]), start)
         for _ in range(_MOST_STEPS):
             limb = self._limb_at(scene, pose, centre_px)
             limb = None if limb is None else limb[sound[limb.ray]]
@@ -288,16 +290,50 @@ class LimbEstimator:
                 break
         return pose
 
+    def _search(self, scene: _Scene) -> Pose | None:
+        """Fit the outline from the prior to rises along its normals, first as far as the prior may be off.
+
+        For a body that the frame cuts: on rays from its middle the border of the frame or another part of the body may
+        be outermost, and the ellipsoid's horizon by a part of an irregular limb is worse than the prior.
+        """
+        camera, pose, reach_px = scene.camera, scene.frame.prior_T_cam_body, 0.0
+        for step in range(_MOST_STEPS):
+            limb = self._limb_at(scene, pose, camera.project(pose.translation_m))
+            if limb is None:
+                return None
+            if step == 0:
+                by_pose = np.hstack([limb.by_attitude, limb.by_position])
+                variance = np.einsum("ni,ij,nj->n", by_pose, scene.frame.prior_covariance, by_pose)
+                reach_px = _SIGMAS * float(np.sqrt(variance.max()))
+            reach_px = max(reach_px, ACROSS_PX[-1])
+            across_px = np.linspace(-reach_px, reach_px, int(min(4.0 * reach_px + 1.0, _MOST_SAMPLES)))
+            samples = sampled(scene.body.patch, limb.uv_px[:, None] + across_px[:, None] * limb.normals[:, None])
+            rise = _outermost_rise(samples, scene.body.floor)
+            residual_px = across_px[0] + rise * (across_px[1] - across_px[0])
+            sound = camera.contains(limb.uv_px + residual_px[:, None] * limb.normals, _BORDER_PX) & np.isfinite(rise)
+            limb, residual_px = limb[sound], residual_px[sound]
+            if len(residual_px) < self._options.points_min:
+                return None
+            before, (pose, _) = pose, _step(pose, scene.frame, limb.by_position, residual_px)
+            if reach_px <= ACROSS_PX[-1] and _moved_px(limb, before, pose) < _SCAN_STEP_PX:
+                break
+            reach_px *= 0.5
+        return pose
+
     def _from_horizon(self, directions: FloatArray, start: Pose) -> Pose:
         """Return the pose by the ellipsoid's horizon; the start if it has none within half to twice the range."""
         found = self._ellipsoid.from_horizon(directions, start.rotation)
         ratio = 0.0 if found is None else float(np.linalg.norm(found) / np.linalg.norm(start.translation_m))
         return replace(start, translation_m=found) if found is not None and 0.5 < ratio < 2.0 else start
 
-    def _refine(self, scene: _Scene, pose: Pose) -> tuple[Pose, LimbPoints, FloatArray, FloatArray] | None:
-        """Fit the outline to profiles of brightness: pose, points, their distances at it, px, and weights, px^-2."""
+    def _refine(self, scene: _Scene, pose: Pose) -> tuple[Pose, LimbPoints, FloatArray, FloatArray, float] | str | None:
+        """Fit the outline to profiles of brightness, from a pose nearby.
+
+        Return the pose, points, their distances at it, px, weights, px^-2, and the share of the last step that is
+        taken; a reason if the fit does not settle, None if there are too few points.
+        """
         scene = replace(scene, edges=self._outline.silhouette(pose))
-        for _ in range(_MOST_STEPS):
+        for step in range(_MOST_STEPS):
             centre_px = scene.camera.project(pose.translation_m)
             limb = self._limb_at(scene, pose, centre_px)
             if limb is None:
@@ -314,10 +350,15 @@ class LimbEstimator:
                 return None
             limb, residual_px = limb[sound], place_px[sound]
             moved, weight = _step(pose, scene.frame, limb.by_position, residual_px)
-            fitted, settled, pose = (pose, limb, residual_px, weight), _moved_px(limb, pose, moved) < _MOVED_PX, moved
-            if settled:
-                break
-        return fitted
+            # Points come and go with the pose, and steps may cycle between two sets of them: later ones are averaged.
+            share = 1.0 / max(step - _WHOLE_STEPS + 2, 1)
+            step_m = share * (moved.translation_m - pose.translation_m)
+            moved = replace(moved, translation_m=pose.translation_m + step_m)
+            fitted = pose, limb, residual_px, weight, share
+            if _moved_px(limb, pose, moved) < _MOVED_PX:
+                return fitted
+            pose = moved
+        return f"the fit of the limb's points does not settle in {_MOST_STEPS} steps"
 
 
 def _bias_covariance(bias_px: float, scores: FloatArray, arc: IndexArray) -> FloatArray:
