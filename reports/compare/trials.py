@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of, value_at
 from boresight.reports.run.outcomes import revolution_ends, succeeded
-from boresight.reports.schema.column import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS, POSE_METRICS, Measure
+from boresight.reports.schema.column import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS, POSE_METRICS, SIGHT, Measure
 from boresight.reports.schema.kinds import (
     CENTRE_ERROR,
     COMMON_CENTRE_ERROR,
@@ -48,6 +48,9 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
         size = _size(rows, "", name)
         if size.notna().any():
             found[name] = size.where(ok)
+    sight_m = _sight_error_m(rows)
+    if sight_m.notna().any():
+        found[SIGHT] = sight_m.where(ok)
     found |= {name: rows[name].astype(float) for name in SEQUENCE_COLUMNS if rows[name].notna().any()}
     for k, ends in revolution_ends(epochs):
         found.setdefault(f"error_after_{k}_m", in_order_of(rows, ends, ["position_error_m"])["position_error_m"])
@@ -152,6 +155,17 @@ def _size(rows: pd.DataFrame, prefix: str, name: str) -> pd.Series:
     """Return the length of an error of poses, from the columns that are its components."""
     columns = [f"{prefix}{column}" for column in COMPONENTS.get(name, (name,))]
     return pd.Series(np.linalg.norm(rows[columns].to_numpy(dtype=np.float64), axis=1), index=rows.index)
+
+
+def _sight_error_m(rows: pd.DataFrame) -> pd.Series:
+    """Return the true range times the angle between the estimated and the true direction to the body's origin, m."""
+    columns = ([f"{of}t{axis}_m" for axis in "xyz"] for of in ("", "true_"))
+    found, true = (rows.reindex(columns=names).to_numpy(dtype=np.float64) for names in columns)
+    sizes = np.linalg.norm(found, axis=1)
+    sine_m = np.linalg.norm(np.cross(found, true), axis=1) / sizes
+    ranges_m = np.linalg.norm(true, axis=1)
+    angles_rad = np.arctan2(sine_m, (found * true).sum(axis=1) / sizes)
+    return pd.Series(ranges_m * angles_rad, index=rows.index)
 
 
 KEY = ["seed", "draws", "rest", "trial"]

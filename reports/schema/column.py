@@ -162,6 +162,9 @@ COMPONENTS: Mapping[str, tuple[str, ...]] = {
 
 POSE_METRICS = (*POSE_COLUMNS, *COMPONENTS)
 
+SIGHT = "sight_error_m"
+"""Distance by which the estimated line of sight misses the body's origin, in camera axes: no error of attitude."""
+
 
 def ellipse(what: str) -> Columns:
     """Return the columns of an ellipse in an image."""
@@ -199,6 +202,7 @@ def plain(name: str, label: str = "", *, error: bool = False) -> Measure:
 SHARED_MEASURES = (
     Measure(name=LATERAL, label="position error across the boresight", error=True),
     Measure(name=BORESIGHT, label="position error along the boresight", error=True),
+    Measure(name=SIGHT, label="distance of the line of sight from the body's origin", error=True),
     Measure(name="seconds", label="time", unit="s"),
     Measure(name="processing_seconds", unit="s"),
     share("success_share", "success"),

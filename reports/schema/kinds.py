@@ -11,6 +11,7 @@ from boresight.reports.schema.column import (
     POSE_ERROR,
     POSE_METRICS,
     PRIOR_ERROR,
+    SIGHT,
     VIEW,
     Column,
     Columns,
@@ -71,7 +72,7 @@ _IMAGE = KindSchema(
             ),
         ),
     },
-    metrics=POSE_METRICS,
+    metrics=(*POSE_METRICS, SIGHT),
 )  # fmt: skip
 
 

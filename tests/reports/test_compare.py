@@ -12,7 +12,9 @@ from terminal_text import printed_lines
 from boresight.reports.compare import compare_runs
 from boresight.reports.compare.subjects import holm, independent_contrast
 from boresight.reports.compare.tables import contrast_tables, limits, subject_tables
+from boresight.reports.compare.trials import trial_numbers
 from boresight.reports.pages.comparison import facts, write_comparison
+from boresight.reports.run.data import read_run
 from boresight.reports.statistics.measured import MEDIAN, P75, P99, RMS
 from boresight.scenarios.errors import BoresightError
 
@@ -317,6 +319,19 @@ def test_components_are_across_and_along_the_boresight(tmp_path):
     run = builder.write(estimators=["one"])
     for metric, value in (("lateral_error_m", 5.0), ("boresight_error_m", 2.0)):
         assert statistic(only(compare_runs([run], metric), "one"), MEDIAN).value == pytest.approx(value)
+
+
+def test_the_error_of_the_line_of_sight_is_that_of_the_direction_to_the_body_in_camera_axes(tmp_path):
+    """A body 30 m aside at 10 km is missed by 30 m, whatever the estimate's range and attitude are."""
+    builder = RunBuilder(tmp_path / "run")
+    poses = [(0.0, 30.0, 10_000.0), (45.0, 0.0, 15_000.0), (0.0, 0.0, 9000.0)]
+    for trial, found in enumerate(poses):
+        builder.trial(trial, ((3.0, 4.0, 12.0), 1.0), ((500.0, 0.0, -2.0), 3.0), estimator="one")
+        row = builder.tables["rows"][-1]
+        row |= dict(zip(("tx_m", "ty_m", "tz_m"), found, strict=True))
+        row |= {"true_tx_m": 0.0, "true_ty_m": 0.0, "true_tz_m": 10_000.0}
+    values = trial_numbers(read_run(builder.write(estimators=["one"])))["sight_error_m"]
+    np.testing.assert_allclose(values[-3:], [30.0, 30.0, 0.0], rtol=1e-5)
 
 
 def store_orbits(folder, ends):
