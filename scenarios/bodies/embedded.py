@@ -253,6 +253,13 @@ _BENNU = _Lobed(
     blend_m=56.0,
     neck_m=(0.0, 0.0, 0.0),
 )
+# The same of (162173) Ryugu: radii at the equator and the pole and volume of Watanabe et al. (2019), Science 364, 268.
+_RYUGU = _Lobed(
+    (1004.0, 1004.0, 875.0),
+    (_Lobe((0.0, 0.0, 0.0), (480.0, 480.0, 225.0)), _Lobe((0.0, 0.0, 0.0), (330.0, 330.0, 415.0))),
+    blend_m=100.0,
+    neck_m=(0.0, 0.0, 0.0),
+)
 # The ellipsoid of (4) Vesta: semi-axes of Russell et al. (2012), Science 336, 684.
 _VESTA = _Lobed(
     (572_600.0, 557_200.0, 446_400.0),
@@ -285,6 +292,6 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 # Made once in a process: most bodies with detail start from one of them.
-_LIKE = (_ITOKAWA, _APOPHIS, _BENNU, _VESTA, _DIDYMOS, _DIMORPHOS)
+_LIKE = (_ITOKAWA, _APOPHIS, _BENNU, _VESTA, _DIDYMOS, _DIMORPHOS, _RYUGU)
 _MAKERS = map(cache, (contact_binary, sphere, apophis_sphere, eros_like, *(body.fine for body in _LIKE)))
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(dict(zip(EMBEDDED_NAMES, _MAKERS, strict=True)))

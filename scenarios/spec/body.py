@@ -10,7 +10,7 @@ from boresight.scenarios.spec.base import SpecModel, length, optional, rule
 
 EMBEDDED_NAMES = (
     "contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like", "bennu-like",
-    "vesta-like", "didymos-like", "dimorphos-like",
+    "vesta-like", "didymos-like", "dimorphos-like", "ryugu-like",
 )  # fmt: skip
 """Names of the built-in bodies of `scenarios.bodies.embedded`."""
 

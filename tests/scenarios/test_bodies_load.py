@@ -70,6 +70,8 @@ def test_contact_binary_is_like_itokawa():
         ("itokawa-like", (562.0, 305.0, 243.0), 0.0178), ("apophis-like", (523.0, 364.0, 314.0), 0.0276),
         # Bennu: Lauretta et al. (2019); Vesta: the ellipsoid in closed form.
         ("bennu-like", (565.0, 535.0, 508.0), 0.0615), ("vesta-like", (572.6e3, 557.2e3, 446.4e3), 7.457e7),
+        # Ryugu: Watanabe et al. (2019).
+        ("ryugu-like", (1004.0, 1004.0, 875.0), 0.377),
         # Didymos: Daly et al. (2024), and Dimorphos: Daly et al. (2023); ellipsoids in closed form.
         ("didymos-like", (818.0, 796.0, 590.0), 0.20115), ("dimorphos-like", (177.0, 174.0, 116.0), 0.0018706),
     ],
