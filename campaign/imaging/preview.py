@@ -87,14 +87,16 @@ class _Sight:
 
     ``out`` is the share of the projected area that faces the camera out of the frame, and ``dark`` that of the rest
     unlit (NaN without a rest). ``in_view`` is the share of the whole surface that is lit and in the frame,
-    ``distance_m`` its median distance from the camera. ``radiance_factor`` and ``weight``, both (N,), are I/F and
-    projected areas of its points. ``phase_deg`` are the least and the largest phase angle of the views.
+    ``distance_m`` its median distance from the camera, ``nearest_m`` that of the view where it is least.
+    ``radiance_factor`` and ``weight``, both (N,), are I/F and projected areas of its points. ``phase_deg`` are the
+    least and the largest phase angle of the views.
     """
 
     out: float
     dark: float
     in_view: float
     distance_m: float
+    nearest_m: float
     radiance_factor: FloatArray
     weight: FloatArray
     phase_deg: tuple[float, float]
@@ -122,8 +124,10 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
     if spec.viewpoint is not None:
         lines.append(_prior_in_words(spec, camera, ends_m[1]))
     if spec.images is not None or images_of(spec, 1):  # estimators of real images render too
-        near_m = ends_m[1] if sight is None or np.isnan(sight.distance_m) else sight.distance_m
-        lines.append(_facets_in_words(spec, mesh, near_m / camera.fx_px, detailed))
+        near_m = ends_m[1], ends_m[1]
+        if sight is not None and not np.isnan(sight.distance_m):
+            near_m = sight.distance_m, sight.nearest_m
+        lines.append(_facets_in_words(spec, mesh, np.array(near_m) / camera.fx_px, detailed))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     pairs = spec.crater_pairs
@@ -202,8 +206,17 @@ def _views_in_words(
 
 
 def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
-    """Describe the errors of priors at a range in the image, and the standard deviations that estimators are told."""
-    pose, velocity_m_s = look_at(np.array([range_m, 0.0, 0.0])), np.array([0.0, 1.0, 0.0])
+    """Describe the errors of priors at a range in the image, and the standard deviations that estimators are told.
+
+    Along a trajectory, in the direction of the state whose range is nearest.
+    """
+    up, velocity_m_s = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    if spec.viewpoint is not None and (states := spec.viewpoint.states) is not None:
+        sizes_m = np.linalg.norm(states.position_m, axis=1)
+        state = int(np.abs(sizes_m - range_m).argmin())
+        up, told_m_s = np.array(states.position_m[state]) / sizes_m[state], states.velocity(state)
+        velocity_m_s = velocity_m_s if told_m_s is None else told_m_s
+    pose = look_at(range_m * up)
     told = []
     for law in (spec.pose_error, spec.believed_pose_error):
         variances = np.diag(prior_covariance(law, pose, camera, velocity_m_s))
@@ -236,8 +249,11 @@ def images_of(spec: ScenarioSpec, trials: int) -> int:
     return revolution if spec.sequence.trajectory is None else spec.sequence.frames
 
 
-def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: float, detailed: bool) -> str:
-    """Describe the facets against a pixel, and say what to change where they are coarse."""
+def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: FloatArray, detailed: bool) -> str:
+    """Describe the facets against a pixel (2,) of all views and of the nearest; say what to change if they are coarse.
+
+    The nearest view is named if the facets are coarse in it alone.
+    """
     if spec.craters is not None:
         edge_m, key = spec.craters.edge_m, "lower craters.edge_m"
     else:
@@ -245,8 +261,11 @@ def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: float, de
         count = len(mesh.faces) if detailed else detailed_count(spec.body, len(mesh.faces))
         area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
         edge_m = math.sqrt(4.0 / math.sqrt(3.0) * area_m2 / count)  # of equilateral triangles
-    words = f"facets have edges of {edge_m:.3g} m, {edge_m / m_per_px:.2g} px of the surface in view"
-    return f"{words}: coarse for this camera, as images show them; {key}" if edge_m > _COARSE_PX * m_per_px else words
+    edge_px, nearest_px = (edge_m / m_per_px).tolist()
+    words = f"facets have edges of {edge_m:.3g} m, {edge_px:.2g} px of the surface in view"
+    if edge_px <= _COARSE_PX < nearest_px:
+        words = f"{words} and {nearest_px:.2g} px in the nearest of {_VIEWS} views"
+    return f"{words}: coarse for this camera, as images show them; {key}" if nearest_px > _COARSE_PX else words
 
 
 def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight: FloatArray) -> str:
@@ -307,6 +326,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
     in_view, phases_rad = False, list[float]()
     seen = inside = dark = 0.0
+    nearest_m = np.inf
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
     for trial in range(_VIEWS):
         # Spread over a trajectory, whatever its order is.
@@ -325,6 +345,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         inside += float(projected[facing][framed].sum())
         dark += float(projected[facing][framed & (cos_i <= 0.0)].sum())
         lit = framed & (cos_i > 0.0)
+        nearest_m = min(nearest_m, float(np.median(distances[facing][lit])) if lit.any() else np.inf)
         cos_e = (projected * distances**2)[facing][lit]
         phase_rad = np.arccos(np.clip(towards[facing][lit] @ view.sun_dir_body / distances[facing][lit], -1.0, 1.0))
         brightness = drawn.lighting.brightness
@@ -342,6 +363,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         dark / inside if inside else np.nan,
         len(found) / (_VIEWS * _POINTS),
         float(np.median(found[:, 2])) if len(found) else np.nan,
+        nearest_m,
         found[:, 0],
         found[:, 1],
         (math.degrees(min(phases_rad)), math.degrees(max(phases_rad))),

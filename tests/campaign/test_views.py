@@ -121,6 +121,32 @@ def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():
     assert preview(load_scenario("quickstart", law[:2]))[1].endswith("; estimators are told the same")
 
 
+def in_flight(tmp_path, descent: str, rest: str = ""):
+    (tmp_path / "scene.yaml").write_text(
+        f"camera: {{fov_deg: 20}}\nbody: {{shape: sphere}}\nviewpoint: {{trajectory: {{descent: {{{descent}}}}}}}\n{rest}"
+    )
+    return preview(load_scenario(str(tmp_path / "scene.yaml")))
+
+
+def test_the_prior_along_a_trajectory_is_told_in_the_direction_of_its_states(tmp_path):
+    """From 20 km on the y axis, 300 m in y are along the line of sight, and 20 m in x and z across it."""
+    axes = "direction: [0, 1, 0], from_altitude_m: 19760, to_altitude_m: 19740, rate_m_s: 1, step_s: 5"
+    law = "pose_error: {position_body_m: {normal: [20, 300, 20]}, attitude: {angle_deg: 0}}\n"
+    line = in_flight(tmp_path, axes, law)[2]
+    pixel_m = 20_000.0 * 2.0 * np.tan(np.radians(10.0)) / 512
+    assert f"{20.0 / pixel_m:.3g} px in the place of the body, 300 m along the line of sight" in line
+
+
+def test_facets_that_are_coarse_in_the_nearest_view_alone_are_told(tmp_path):
+    """5,120 facets of a sphere of 250 m have edges of 19 m: 4 px from 16 km of ground, and 64 px from 1 km."""
+    far = "direction: [0, 1, 0], from_altitude_m: 60000, to_altitude_m: {}, rate_m_s: 1, step_s: 1000"
+    near, still = in_flight(tmp_path, far.format(1000))[3], in_flight(tmp_path, far.format(59000))[3]
+    told = float(re.search(r"px of the surface in view and (\S+) px in the nearest of 40 views: coarse", near)[1])
+    edge_m = float(re.search(r"edges of (\S+) m", near)[1])
+    assert told == pytest.approx(edge_m / (1080.0 * 2.0 * np.tan(np.radians(10.0)) / 512), rel=0.8)
+    assert "coarse" not in still
+
+
 @pytest.fixture
 def flown(tmp_path):
     """Scenario of a trajectory in kilometres, the last state inside the body if ``low``."""
