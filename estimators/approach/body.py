@@ -92,7 +92,7 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
     lit = image > np.float32(level + _SIGMAS * noise)
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     if not len(rows):
-        return "the image is black: nothing above its background"
+        return "nothing is brighter than the background: the image is black, or the body fills it"
     top, left = int(rows[0]), int(columns[0])
     box = slice(top, int(rows[-1]) + 1), slice(left, int(columns[-1]) + 1)
     full = float(np.percentile(image[box][lit[box]], 99.0)) - level
