@@ -123,7 +123,8 @@ def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():
 
 def in_flight(tmp_path, descent: str, rest: str = ""):
     (tmp_path / "scene.yaml").write_text(
-        f"camera: {{fov_deg: 20}}\nbody: {{shape: sphere}}\nviewpoint: {{trajectory: {{descent: {{{descent}}}}}}}\n{rest}"
+        "camera: {fov_deg: 20}\nbody: {shape: sphere}\n"
+        f"viewpoint: {{trajectory: {{descent: {{{descent}}}}}}}\n{rest}"
     )
     return preview(load_scenario(str(tmp_path / "scene.yaml")))
 
