@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
     ("real data", ("*-real", "*-navcam67p")),
-    ("missions", ("osiris-rex-*", "dawn-*")),
+    ("missions", ("osiris-rex-*", "dawn-*", "dart-*", "hayabusa2-*", "near-*")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
     ("compare", ("trade-*", "compare-*", "partial-*", "approach-*")),

@@ -87,7 +87,7 @@ class _Sight:
 
     ``out`` is the share of the projected area that faces the camera out of the frame, and ``dark`` that of the rest
     unlit (NaN without a rest). ``in_view`` is the share of the whole surface that is lit and in the frame,
-    ``distance_m`` its median distance from the camera, ``nearest_m`` that of the view where it is least.
+    ``distance_m`` its median distance from the camera, and ``nearest_m`` the least distance of the surface from it.
     ``radiance_factor`` and ``weight``, both (N,), are I/F and projected areas of its points. ``phase_deg`` are the
     least and the largest phase angle of the views.
     """
@@ -250,9 +250,9 @@ def images_of(spec: ScenarioSpec, trials: int) -> int:
 
 
 def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: FloatArray, detailed: bool) -> str:
-    """Describe the facets against a pixel (2,) of all views and of the nearest; say what to change if they are coarse.
+    """Describe the facets against a pixel, (2,) of all views and at the nearest point.
 
-    The nearest view is named if the facets are coarse in it alone.
+    Say what to change if they are coarse; the nearest point is named if they are coarse there alone.
     """
     if spec.craters is not None:
         edge_m, key = spec.craters.edge_m, "lower craters.edge_m"
@@ -264,7 +264,7 @@ def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: FloatArra
     edge_px, nearest_px = (edge_m / m_per_px).tolist()
     words = f"facets have edges of {edge_m:.3g} m, {edge_px:.2g} px of the surface in view"
     if edge_px <= _COARSE_PX < nearest_px:
-        words = f"{words} and {nearest_px:.2g} px in the nearest of {_VIEWS} views"
+        words = f"{words} and {nearest_px:.2g} px at the nearest point of {_VIEWS} views"
     return f"{words}: coarse for this camera, as images show them; {key}" if nearest_px > _COARSE_PX else words
 
 
@@ -329,8 +329,8 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     nearest_m = np.inf
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
     for trial in range(_VIEWS):
-        # Spread over a trajectory, whatever its order is.
-        state, draws = trial * flown // _VIEWS, generator(0, Stream.TRUTH, trial)
+        # Spread over a trajectory from its first state to its last, whatever its order is.
+        state, draws = trial * max(flown - 1, 0) // (_VIEWS - 1), generator(0, Stream.TRUTH, trial)
         drawn = drawn_together(spec, 0, trial)
         view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
         in_view |= view.may_show(mesh.radius_m)
@@ -339,13 +339,13 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         distances = np.linalg.norm(towards, axis=1)
         projected = np.einsum("pi,pi->p", normals, towards) / distances**3
         facing = projected > 0.0
+        nearest_m = min(nearest_m, float(distances.min()))
         framed = camera.contains(camera.project(view.T_cam_body.transform(places[facing])))
         cos_i = normals[facing] @ view.sun_dir_body
         seen += float(projected[facing].sum())
         inside += float(projected[facing][framed].sum())
         dark += float(projected[facing][framed & (cos_i <= 0.0)].sum())
         lit = framed & (cos_i > 0.0)
-        nearest_m = min(nearest_m, float(np.median(distances[facing][lit])) if lit.any() else np.inf)
         cos_e = (projected * distances**2)[facing][lit]
         phase_rad = np.arccos(np.clip(towards[facing][lit] @ view.sun_dir_body / distances[facing][lit], -1.0, 1.0))
         brightness = drawn.lighting.brightness

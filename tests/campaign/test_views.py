@@ -138,13 +138,13 @@ def test_the_prior_along_a_trajectory_is_told_in_the_direction_of_its_states(tmp
     assert f"{20.0 / pixel_m:.3g} px in the place of the body, 300 m along the line of sight" in line
 
 
-def test_facets_that_are_coarse_in_the_nearest_view_alone_are_told(tmp_path):
-    """5,120 facets of a sphere of 250 m have edges of 19 m: 4 px from 16 km of ground, and 64 px from 1 km."""
+def test_facets_that_are_coarse_at_the_nearest_point_alone_are_told(tmp_path):
+    """5,120 facets of a sphere of 250 m have edges of 19 m, 14 px at 1 km above ground."""
     far = "direction: [0, 1, 0], from_altitude_m: 60000, to_altitude_m: {}, rate_m_s: 1, step_s: 1000"
     near, still = in_flight(tmp_path, far.format(1000))[3], in_flight(tmp_path, far.format(59000))[3]
-    told = float(re.search(r"px of the surface in view and (\S+) px in the nearest of 40 views: coarse", near)[1])
+    told = float(re.search(r"px of the surface in view and (\S+) px at the nearest point of 40 views: coarse", near)[1])
     edge_m = float(re.search(r"edges of (\S+) m", near)[1])
-    assert told == pytest.approx(edge_m / (1080.0 * 2.0 * np.tan(np.radians(10.0)) / 512), rel=0.8)
+    assert told == pytest.approx(edge_m / (1000.0 * 2.0 * np.tan(np.radians(10.0)) / 512), rel=0.03)
     assert "coarse" not in still
 
 

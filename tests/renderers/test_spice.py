@@ -22,6 +22,7 @@ from boresight.renderers.spice import INSTRUMENTS, SpiceImageSet
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
+from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.brdf import LambertSpec
 from boresight.scenarios.spec.scenario import ImageSetSpec
@@ -409,6 +410,24 @@ def test_msi_pixels_fall_there_through_the_ray_tracer_too():
     hits = MitsubaRenderer(ellipsoid, LambertSpec(), 1).surface(view, uv)
     for point, seen in zip(golden["points"], hits.points_body_m, strict=True):
         np.testing.assert_allclose(lat_lon_deg(seen), [point["lat"], point["lon_e"]], atol=0.05)
+
+
+@needs_msi
+def test_the_state_of_the_catalogue_is_that_of_the_kernels():
+    """The table of near-eros against kernels in its place, to its rounding: 5 m, a microradian, and the Sun."""
+    at = "2000-02-25T11:39:12.3545"
+    flown = {
+        "spice": {
+            "kernels": [f"near_msi_m0126888978/{name}" for name in MSI_KERNELS], "observer": "NEAR", "target": "EROS",
+            "target_frame": "EROS_FIXED", "camera_frame": "NEAR_MSI", "start_utc": at, "stop_utc": at, "step_s": 1,
+        }
+    }  # fmt: skip
+    table = load_scenario("near-eros").spec.viewpoint.states
+    kernels = load_scenario("near-eros", [f"viewpoint.trajectory={json.dumps(flown)}"]).spec.viewpoint.states
+    np.testing.assert_allclose(table.position_m, kernels.position_m, atol=6.0)
+    np.testing.assert_allclose(table.velocity_m_s, kernels.velocity_m_s, atol=6e-4)
+    np.testing.assert_allclose(table.attitude, kernels.attitude, atol=1e-6)
+    np.testing.assert_allclose(table.sun_dir, kernels.sun_dir, atol=6e-5)
 
 
 def eros() -> TriangleMesh:

@@ -41,6 +41,9 @@ def line_of(name: str, *overrides: str, experiment: str = "", short: bool = Fals
 
 def with_onboard(spec: ScenarioSpec, key: str) -> ScenarioSpec:
     said = spec.model_dump(mode="json")
+    # Another body is whole: these are given in it, not beside it.
+    beside = LENT_SHAPE | OF_DETAIL if key == "body" else frozenset()
+    said["onboard"] = {one: value for one, value in said["onboard"].items() if one not in beside}
     said["onboard"] |= {key: WRONG[key][0]}
     return ScenarioSpec.model_validate(said)
 
