@@ -364,10 +364,13 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
     if not np.linalg.norm(position, axis=1).all():
         raise ValueError("a position is the body's origin")
     if quaternions is not None:
+        quaternions = _unit(quaternions, "the quaternion")
+        quaternions = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
+    if quaternions is not None and rotation is not None:
         from scipy.spatial.transform import Rotation
 
         # From body to camera axes, of those from the table's axes.
-        of_table = Rotation.from_quat(_unit(quaternions, "the quaternion"), scalar_first=True)
+        of_table = Rotation.from_quat(quaternions, scalar_first=True)
         from_body = of_table * Rotation.from_matrix(to_body).inv()
         quaternions = np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
     return StatesSpec(
