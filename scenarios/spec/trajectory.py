@@ -366,13 +366,13 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
     if quaternions is not None:
         quaternions = _unit(quaternions, "the quaternion")
         quaternions = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
-    if quaternions is not None and rotation is not None:
-        from scipy.spatial.transform import Rotation
+        if rotation is not None:
+            from scipy.spatial.transform import Rotation
 
-        # From body to camera axes, of those from the table's axes.
-        of_table = Rotation.from_quat(quaternions, scalar_first=True)
-        from_body = of_table * Rotation.from_matrix(to_body).inv()
-        quaternions = np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
+            # From body to camera axes, of those from the table's axes.
+            of_table = Rotation.from_quat(quaternions, scalar_first=True)
+            from_body = of_table * Rotation.from_matrix(to_body).inv()
+            quaternions = np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
     return StatesSpec(
         time_s=tuple(times.tolist()),
         position_m=rows_of(_turned(to_body, position)),
