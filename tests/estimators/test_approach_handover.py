@@ -93,7 +93,10 @@ def test_the_reason_names_every_method_that_failed():
 def test_a_failure_of_the_far_one_alone_is_named():
     observation = seen(10.0)
     black = replace(observation, frame=replace(observation.frame, image=0.0 * observation.frame.image))
-    assert answer("approach", black).reason == "centroid: the image is black: nothing above its background"
+    assert (
+        answer("approach", black).reason
+        == "centroid: nothing is brighter than the background: the image is black, or the body fills it"
+    )
 
 
 def test_what_it_builds_on_is_known():
