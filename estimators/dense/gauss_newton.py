@@ -97,7 +97,10 @@ class RegistrationOptions(SpecModel):
         3.5,
         ge=0,
         description="Where the frame cuts the body: the final correlation over the largest one of the images shifted by"
-        " 8 to 64 pixels; less is a failure",
+        " 8 to 64 pixels; less is a failure, unless the correlation is correlation_sure",
+    )
+    correlation_sure: float = Field(
+        0.7, ge=-1, le=1, description="Where the frame cuts the body: a correlation that no shifted image can question"
     )
 
 
@@ -401,9 +404,9 @@ def _failure(fit: LevelFit, options: RegistrationOptions) -> str:
     unlike = f"the rendering does not look like the image: correlation {fit.correlation:.2f}"
     if fit.sharpness is None:
         return "" if fit.correlation >= options.correlation_min else unlike
-    return (
-        "" if fit.sharpness >= options.sharpness_min else f"{unlike}, {fit.sharpness:.2g} times that of shifted images"
-    )
+    if fit.sharpness >= options.sharpness_min or fit.correlation >= options.correlation_sure:
+        return ""
+    return f"{unlike}, {fit.sharpness:.2g} times that of shifted images"
 
 
 def _sharpness(target: Image, rendered: Image, compared: NDArray[np.bool_]) -> float:

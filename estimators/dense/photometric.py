@@ -61,9 +61,10 @@ class PhotometricEstimator:
     It fails when
     -------------
     The rendering goes out of view or into the dark, or correlates with the image by less than ``correlation_min``; or
-    the frame cuts the body, and shifted images correlate nearly as well (``sharpness_min``). Of 500 images of
-    ``compare-mismatched`` version 3 failed, or was worse than the prior, in none with exact knowledge and in 4.20 %
-    with that of a mission. The covariance is too small: its mean NEES was 42.0 and 40.6, 6 expected. See ``tuned``.
+    the frame cuts the body, and shifted images correlate nearly as well (``sharpness_min``, ``correlation_sure``). Of
+    500 images of ``compare-mismatched`` version 3 failed, or was worse than the prior, in none with exact knowledge and
+    in 4.20 % with that of a mission. The covariance is too small: its mean NEES was 42.0 and 40.6, 6 expected. See
+    ``tuned``.
 
     Cost
     ----
@@ -75,7 +76,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 9
+    version: ClassVar[int] = 10
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:

@@ -241,6 +241,20 @@ def test_a_body_cut_by_the_frame_is_judged_by_shifted_images(renderer):
     assert gauss_newton._sharpness(shifted, mine, everywhere) < 0.3
 
 
+def test_a_strong_likeness_of_a_cut_body_needs_no_shifted_images(renderer):
+    """Relief of long wavelengths makes shifted images alike as well; here the limit is above what this body reaches."""
+    beside = Camera(128, 128, CAMERA.fx_px, CAMERA.fy_px, 128.0, 64.0)
+    observation = Observation(beside, frame(renderer.render(View(beside, TRUE, TRUE.rotation.T @ SUN_CAM))))
+
+    def answer(sure: float) -> Estimate:
+        options = OPTIONS.model_copy(update={"sharpness_min": 10.0, "correlation_sure": sure})
+        return PhotometricEstimator(renderer, 200.0, options).estimate(observation, rng=np.random.default_rng(0))
+
+    found = answer(OPTIONS.correlation_sure)
+    assert (found.status, answer(1.0).status) == ("ok", "failed")
+    assert found.diagnostics["sharpness"] < 10.0
+
+
 @pytest.mark.parametrize(("value", "reason"), [(0.0, "black"), (np.nan, "NaN")])
 def test_an_image_without_a_body_fails(renderer, value, reason):
     found = estimate(renderer, frame(np.full((128, 128), value, dtype=np.float32)))
