@@ -23,6 +23,10 @@ class MachineError(BoresightError):
     """A fault of the machine, not of the input (disk full, process killed): the same command continues afterwards."""
 
 
+class InsideBodyError(BoresightError):
+    """A camera is inside the body: an error of a scenario, or the failure of a method that was led there."""
+
+
 def display(path: Path) -> str:
     """Return a path relative to the working directory if it lies below it, in full otherwise."""
     try:

@@ -23,7 +23,7 @@ from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trial
 from boresight.estimators.contract import Assets, NoProductError
 from boresight.estimators.options import OptionsError, model_of
 from boresight.estimators.registry import estimator_class
-from boresight.scenarios.errors import BoresightError, MachineError, printable, text_of
+from boresight.scenarios.errors import BoresightError, InsideBodyError, MachineError, printable, text_of
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_camera
@@ -87,8 +87,9 @@ class Work:
                     why = str(error) if type(error) is ValueError else _named(error)
                     raise _InvalidResultError(f"returned an invalid result: {why}") from error
                 valid = result
-        except GaveUpError as failure:
-            row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
+        except (GaveUpError, InsideBodyError) as failure:
+            led = "the pose was led below the ground: " if isinstance(failure, InsideBodyError) else ""
+            row: Record = {**self.row, "status": "failed", "reason": f"{led}{failure}", "n_landmarks": 0}
             found: Records = {"rows": [row]}
         except _InvalidResultError as error:
             found = self._fault(str(error), error.__cause__ or error)

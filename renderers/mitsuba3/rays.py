@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import InsideBodyError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 
 # Points on each side of a bounding box that lens distortion bends.
@@ -185,7 +185,7 @@ def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray
 
 
 def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
-    """Raise `BoresightError` if the camera, at ``position_body_m`` (3,), is inside the body.
+    """Raise `InsideBodyError` if the camera, at ``position_body_m`` (3,), is inside the body.
 
     The solid angle of the closed mesh seen from a point is 4 pi inside it and 0 outside (A. van Oosterom and
     J. Strackee, IEEE Trans. Biomed. Eng. 30, 1983, equation 8). It is not computed beyond the farthest vertex.
@@ -199,9 +199,9 @@ def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
     # Half way between 4 pi and 0, which leaves room for rounding; the sign depends on the winding.
     if abs(solid_angle) > 2.0 * np.pi:
         where = ", ".join(f"{x:.6g}" for x in position)
-        raise BoresightError(
+        raise InsideBodyError(
             f"the camera at ({where}) m, {distance_m:.6g} m from the body's origin, is inside the body, whose farthest"
-            f" point is at {mesh.radius_m:.6g} m: choose a larger range"
+            f" point is at {mesh.radius_m:.6g} m"
         )
 
 

@@ -74,7 +74,7 @@ class MitsubaRenderer:
     def render(self, view: View) -> NDArray[np.float32]:
         """Radiance factor I/F = pi f_r cos(i) of every pixel, (H, W); 0 off the body and in shadow.
 
-        Raise `BoresightError` if the camera is inside the body.
+        Raise `InsideBodyError` if the camera is inside the body.
         """
         check_outside(self._mesh, view.T_cam_body.camera_position_m)
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)

@@ -81,7 +81,7 @@ class TiledRenderer:
     def render(self, view: View) -> SingleArray:
         """Radiance factor I/F of every pixel, (H, W); 0 off the body and in shadow.
 
-        Raise `BoresightError` if the camera is inside the body.
+        Raise `InsideBodyError` if the camera is inside the body.
         """
         check_outside(self.ground.under, view.T_cam_body.camera_position_m)
         if not self.variant.is_wavefront:

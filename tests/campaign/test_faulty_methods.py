@@ -20,8 +20,11 @@ from boresight.campaign.trial.score import check_detections
 from boresight.estimators.contract import Estimate, Stage
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
-from boresight.scenarios.geometry import Camera, Pose
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.bodies.embedded import EMBEDDED
+from boresight.scenarios.geometry import Camera, Pose, View, look_at
 from boresight.scenarios.observation import Frame, TrackFrame, TrackSequence
+from boresight.scenarios.spec.brdf import LambertSpec
 from boresight.scenarios.spec.campaign import EstimatorSpec
 
 HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
@@ -187,6 +190,17 @@ def test_what_a_method_raises_is_a_row_with_its_reason(error, reason):
     records = WORK.run(work, lambda answer: None, _never)
     assert records["rows"] == [{"range_m": 5.0, "status": "error", "reason": reason, "n_landmarks": 0}]
     assert "in work\n    raise error\n" in records["tracebacks"][0]["traceback"]
+
+
+def test_a_method_that_is_led_below_the_ground_has_failed():
+    """A renderer refuses the camera there, whatever method asks it; the method did not break."""
+    body = MitsubaRenderer(
+        EMBEDDED["sphere"](), LambertSpec(), samples_per_pixel=1, shading="flat", variant=choose_variant()
+    )
+    down = View(CAMERA, look_at(np.array([1.0, 2.0, 3.0])), np.array([1.0, 0.0, 0.0]))
+    (row,) = WORK.run(lambda: body.render(down), lambda answer: None, _never)["rows"]
+    assert row["status"] == "failed"
+    assert row["reason"].startswith("the pose was led below the ground: the camera at (1, 2, 3) m, 3.74166 m from")
 
 
 def test_why_a_method_cannot_be_built_is_one_printable_line():

@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay
 
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.renderers.mitsuba3.rays import PixelWindow, body_window, check_outside, outline_points
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError, InsideBodyError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.spec.brdf import LambertSpec
 
@@ -160,7 +160,7 @@ def test_inside_is_told_from_outside(rock):
     assert 5 < inside.sum() < 55
     for point, within in zip(points, inside, strict=True):
         if within:
-            with pytest.raises(BoresightError, match="inside the body"):
+            with pytest.raises(InsideBodyError, match="inside the body"):
                 check_outside(rock, point)
         else:
             check_outside(rock, point)
@@ -175,7 +175,7 @@ def test_inside_a_needle_is_told_from_outside():
     within = Delaunay(corners).find_simplex(points) >= 0
     assert 40 < within.sum() < 360
     for point, inside in zip(points, within, strict=True):
-        with pytest.raises(BoresightError, match="inside") if inside else nullcontext():
+        with pytest.raises(InsideBodyError, match="inside") if inside else nullcontext():
             check_outside(needle, point)
 
 
