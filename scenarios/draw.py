@@ -70,7 +70,7 @@ def draw_aimed_view(
         target = places[int(np.where(lit, from_nadir, -np.inf).argmax())]
     if chosen.any():
         # Facets that are not chosen have no area, so that no number falls on them. Drawn for each kind.
-        total = np.cumsum(np.where(chosen, np.linalg.norm(shape.area_vectors_m2, axis=1), 0.0))
+        total = np.cumsum(np.where(chosen, shape.areas_m2, 0.0))
         row = int(np.searchsorted(total, rng.uniform(0.0, total[-1]), side="right"))
         target = target if kind == "nadir" else places[row]
     # look_at points at the origin: the rotation is that of a camera at the same offset from it.

@@ -135,7 +135,7 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
         lines.append(_craters_in_words(spec.craters, sight.in_view, sight.distance_m / camera.fx_px))
     elif pairs is not None and (craters := pairs.craters or spec.craters) is not None:
         m_per_px = pairs.range_m / camera.fx_px
-        area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+        area_m2 = float(mesh.areas_m2.sum())
         framed_m2 = camera.width_px * camera.height_px * m_per_px**2
         lines.append(_craters_in_words(craters, min(framed_m2 / area_m2, 0.5), m_per_px))
     if spec.craters is not None:
@@ -259,7 +259,7 @@ def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: FloatArra
     else:
         key = "take a finer shape, or raise body.detail.facets"
         count = len(mesh.faces) if detailed else detailed_count(spec.body, len(mesh.faces))
-        area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+        area_m2 = float(mesh.areas_m2.sum())
         edge_m = math.sqrt(4.0 / math.sqrt(3.0) * area_m2 / count)  # of equilateral triangles
     edge_px, nearest_px = (edge_m / m_per_px).tolist()
     words = f"facets have edges of {edge_m:.3g} m, {edge_px:.2g} px of the surface in view"
@@ -320,7 +320,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     Raise BoresightError if the sphere about the body is out of the frame in all of these views.
     """
     spec, camera, rng = scenario.spec, scenario.spec.camera.camera(), np.random.default_rng(0)
-    areas = np.cumsum(np.linalg.norm(mesh.area_vectors_m2, axis=1))
+    areas = np.cumsum(mesh.areas_m2)
     rows = np.searchsorted(areas, areas[-1] * (np.arange(_POINTS) + 0.5) / _POINTS)
     weights = rng.dirichlet(np.ones(3), _POINTS)  # uniform over a triangle
     places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]

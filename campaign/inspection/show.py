@@ -260,7 +260,7 @@ def coarsened(mesh: TriangleMesh, most_faces: int = MOST_FACES) -> TriangleMesh:
     if len(mesh.faces) <= most_faces:
         return mesh
     # A closed surface of area A in cubes of edge a crosses about A / a^2 of them, with two facets for each vertex.
-    area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+    area_m2 = float(mesh.areas_m2.sum())
     edge_m = float(np.sqrt(2.0 * area_m2 / most_faces))
     while True:
         coarse = _merged(mesh, edge_m)

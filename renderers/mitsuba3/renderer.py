@@ -134,7 +134,7 @@ class MitsubaRenderer:
 
     def _normals(self, facets: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
         if self._vertex_normals is None:
-            return self._mesh.normals[facets]
+            return self._mesh.normals_of(facets)
         normals = interpolate(self._mesh, self._vertex_normals, facets, weights)
         unit: NDArray[np.float64] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         return unit

@@ -13,6 +13,7 @@ from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray, SingleArray
 from boresight.scenarios.craters.tiles import facet_normals
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import by_block
 
 SHAPE_ID = "body"
 SUN_ID = "sun"
@@ -59,11 +60,12 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
     by_variant = _held.setdefault(mesh, {})
     if variant.name not in by_variant:
         mi = load_mitsuba(variant)
+        shape = build_shape(mi, mesh)
         by_variant[variant.name] = DeviceMesh(
-            scene=mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)}),
+            scene=mi.load_dict({"type": "scene", "body": shape}),
             # Normals of the double-precision mesh, not of its rounded vertices, whose error grows on small facets.
-            facet_normals=mi.Float(mesh.normals.astype(np.float32).ravel()),
-            faces=mi.UInt32(mesh.faces.astype(np.uint32).ravel()),
+            facet_normals=mi.Float(by_block(mesh.normals_of, np.empty(mesh.faces.shape, np.float32)).ravel()),
+            faces=mi.traverse(shape)["faces"],
             albedo=None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32)),
         )
     return by_variant[variant.name]

@@ -67,7 +67,7 @@ class WavefrontTracer:
         self.variant = variant
         self._brdf = brdf
         self.radius_m = mesh.radius_m
-        self._facet_m = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).mean()))
+        self._facet_m = float(np.sqrt(mesh.areas_m2.mean()))
         self._mesh = mesh_on_device(variant, mesh)
         self._vertex_normals = None if vertex_normals is None else mi.Float(vertex_normals.astype(np.float32).ravel())
         grid = grid_positions(samples_per_pixel)

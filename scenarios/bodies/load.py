@@ -48,7 +48,7 @@ def checked_mesh(
     if mesh.volume_m3 < 0.0:
         mesh = TriangleMesh(vertices, mesh.faces[:, ::-1])
         notes.append("the facets faced inward: all were turned")
-    area = np.linalg.norm(mesh.area_vectors_m2, axis=1)
+    area = mesh.areas_m2
     flat = int(np.count_nonzero(area <= _FLAT * area.mean()))
     if flat:
         notes.append(f"{flat} facets have no area")

@@ -67,7 +67,7 @@ def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Cra
 
 def _places(smooth: TriangleMesh, up: FloatArray, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Draw points (n, 3), uniform over the area, and the unit normals there."""
-    area = np.cumsum(np.linalg.norm(smooth.area_vectors_m2, axis=1))
+    area = np.cumsum(smooth.areas_m2)
     facet = np.minimum(np.searchsorted(area, rng.uniform(0.0, area[-1], n)), len(area) - 1)
     weights = rng.dirichlet(np.ones(3), n)  # uniform over each triangle
     corners = smooth.faces[facet]

@@ -49,7 +49,7 @@ class Polyhedron:
 
     def acceleration(self, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) m in the mesh's axes."""
-        corners = self.mesh.corners_m - position_m
+        corners = self._corners_m - position_m
         distances = np.sqrt(np.einsum("fki,fki->fk", corners, corners))
         # (n_f . r_f) omega_f: r_f may be any corner, as all have the same distance from the facet's plane.
         flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * solid_angles(corners, distances)
@@ -62,7 +62,7 @@ class Polyhedron:
 
     def laplacian(self, position_m: FloatArray) -> float:
         """Divergence of the acceleration, 1/s2: -4 pi G sigma inside and 0 outside."""
-        corners = self.mesh.corners_m - position_m
+        corners = self._corners_m - position_m
         return float(-self._g_sigma * solid_angles(corners, np.linalg.norm(corners, axis=2)).sum())
 
     @cached_property
@@ -70,9 +70,13 @@ class Polyhedron:
         return self.gm_m3_s2 / self.mesh.volume_m3
 
     @cached_property
+    def _corners_m(self) -> FloatArray:
+        return self.mesh.corners_m
+
+    @cached_property
     def _edges_m(self) -> FloatArray:
         """(F, 3, 3) edge vectors of each facet, from corner k to the next one."""
-        return np.roll(self.mesh.corners_m, -1, axis=1) - self.mesh.corners_m
+        return np.roll(self._corners_m, -1, axis=1) - self._corners_m
 
     @cached_property
     def _lengths_m(self) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeVar
@@ -16,12 +17,21 @@ IndexArray = NDArray[np.int32]
 
 
 _T = TypeVar("_T", bound=np.generic)
+_ROWS_AT_ONCE = 1 << 19
 
 
 def sealed(array: NDArray[_T]) -> NDArray[_T]:
     """Return a copy in the same layout that cannot be made writable: its memory is that of an immutable object."""
     order: Literal["C", "F"] = "F" if array.flags.fnc else "C"
     return np.frombuffer(array.tobytes(order), array.dtype).reshape(array.shape, order=order)
+
+
+def by_block(value: Callable[[slice], FloatArray], out: NDArray[_T]) -> NDArray[_T]:
+    """Fill an array with the values of its rows, block by block: of millions of faces, temporaries would be larger."""
+    for start in range(0, len(out), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        out[rows] = value(rows)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,25 +65,36 @@ class TriangleMesh:
             # Meshes are shared, also by methods and the truth, and their derived quantities cached.
             object.__setattr__(self, name, sealed(value))
 
-    @cached_property
+    @property
     def corners_m(self) -> FloatArray:
-        """(F, 3, 3) the three corners of each face."""
-        return sealed(self.vertices_m[self.faces])
+        """(F, 3, 3) the three corners of each face; not kept, as they take more memory than all else of a mesh."""
+        return self.vertices_m[self.faces]
 
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
         """(F, 3) outward normals whose length is the face's area."""
-        corners = self.corners_m
-        return sealed(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))  # eq. (1)
+        return sealed(by_block(self._area_vectors, np.empty((len(self.faces), 3))))
+
+    @property
+    def areas_m2(self) -> FloatArray:
+        """(F,) areas of the faces; not kept."""
+        return by_block(lambda faces: np.linalg.norm(self._area_vectors(faces), axis=1), np.empty(len(self.faces)))
 
     @cached_property
     def normals(self) -> FloatArray:
         """(F, 3) outward unit normals; zero where a face has no area."""
-        length = np.linalg.norm(self.area_vectors_m2, axis=1, keepdims=True)
-        unit: FloatArray = np.divide(
-            self.area_vectors_m2, length, out=np.zeros_like(self.area_vectors_m2), where=length > 0.0
-        )
-        return sealed(unit)
+        return sealed(by_block(self.normals_of, np.empty((len(self.faces), 3))))
+
+    def normals_of(self, faces: NDArray[np.integer] | slice) -> FloatArray:
+        """(n, 3) the normals of some faces by their numbers, without those of the others."""
+        vectors = self._area_vectors(faces)
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+        unit: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+        return unit
+
+    def _area_vectors(self, faces: NDArray[np.integer] | slice) -> FloatArray:
+        first, second, third = np.moveaxis(self.vertices_m[self.faces[faces]], -2, 0)
+        return np.asarray(0.5 * np.cross(second - first, third - first))  # eq. (1)
 
     @cached_property
     def volume_m3(self) -> float:

@@ -165,7 +165,7 @@ class Horizons:
         middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
         ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])
         # Side of the square of ground that one of the points stands for.
-        spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
+        spacing = float(np.sqrt(mesh.areas_m2.sum() / len(ground)))
         tangents = np.zeros((len(points_m), _BINS))
         for i in range(len(points_m)):
             tangents[i] = _horizon_tangents(ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing)

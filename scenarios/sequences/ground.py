@@ -223,7 +223,7 @@ class MeshGround:
 
     @cached_property
     def _cumulated_areas(self) -> FloatArray:
-        return np.cumsum(np.linalg.norm(self.mesh.area_vectors_m2, axis=1))
+        return np.cumsum(self.mesh.areas_m2)
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Draw facets by their area, and a point uniform on each."""

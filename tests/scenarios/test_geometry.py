@@ -121,9 +121,13 @@ def test_phase_angle():
         View(CAMERA, look_at(np.array([100.0, 0, 0])), np.zeros(3))
 
 
-def test_mesh_quantities_agree_with_trimesh():
+@pytest.mark.parametrize("rows_at_once", [7, 1 << 19])
+def test_mesh_quantities_agree_with_trimesh(monkeypatch, rows_at_once):
+    monkeypatch.setattr("boresight.scenarios.geometry.mesh._ROWS_AT_ONCE", rows_at_once)
     foreign = trimesh.creation.torus(3.0, 1.0)
     mesh = TriangleMesh(foreign.vertices, foreign.faces)
+    np.testing.assert_allclose(mesh.areas_m2, foreign.area_faces, rtol=1e-9)
+    np.testing.assert_array_equal(mesh.normals_of(np.array([5, 0])), mesh.normals[[5, 0]])
     assert mesh.volume_m3 == pytest.approx(foreign.volume)
     np.testing.assert_allclose(mesh.normals, foreign.face_normals, atol=1e-9)
     np.testing.assert_allclose(mesh.extent_m, foreign.extents)
@@ -139,10 +143,12 @@ def test_values_are_frozen():
     with pytest.raises(ValueError, match="read-only"):
         mesh.vertices_m[0, 0] = 1.0
     # A method shares the mesh with the truth: it cannot allow itself to write either.
-    for array in (mesh.vertices_m, mesh.faces, mesh.corners_m, mesh.area_vectors_m2, mesh.normals):
+    for array in (mesh.vertices_m, mesh.faces, mesh.area_vectors_m2, mesh.normals):
         assert not array.flags.writeable
         with pytest.raises(ValueError, match="cannot set WRITEABLE flag"):
             array.setflags(write=True)
+    mesh.corners_m[:] = 0.0
+    np.testing.assert_array_equal(mesh.corners_m, [np.eye(3)])
 
 
 # --- Triangulation from lines of sight: exact points, scipy's least squares, and the covariance of drawn lines -------
