@@ -39,6 +39,9 @@ class Registry(Generic[T]):
     group: str
     parts: tuple[str, ...]
 
+    def __contains__(self, name: str) -> bool:
+        return name in self.own or any(point.name == name for point in _entry_points(self.group))
+
     def names(self) -> tuple[str, ...]:
         """All names, sorted; third-party ones included."""
         return tuple(sorted({*self.own, *(point.name for point in _entry_points(self.group))}))
@@ -276,6 +279,6 @@ def built_base(name: str, options: Mapping[str, object], assets: Assets, section
 
 def _said_by(name: str, attribute: str, default: object) -> object:
     """Return an attribute of an estimator's class; the default where it has none, or the name is of another kind."""
-    if ":" in name or name in estimator_names():
+    if ":" in name or name in ESTIMATORS:
         return getattr(class_at(name) if ":" in name else estimator_class(name), attribute, default)
     return default

@@ -136,12 +136,15 @@ def preflight(
     """
     trials = trials or (None if campaign is None else campaign.trials)
     names: dict[tuple[str, ...], str] = {}
+    left = len(scenarios)
     for scenario in scenarios:
+        if len(names) == _MOST_SHOWN:
+            break
         names.setdefault(tuple(preview(scenario, detailed=detailed, trials=trials)), scenario.spec.name)
-    lines = [f"{name}: {line}" for told, name in list(names.items())[:_MOST_SHOWN] for line in told]
-    left = len(names) - _MOST_SHOWN
-    if left > 0:
-        lines.append(f"and {count_of(left, 'further scenario')} with other images")
+        left -= 1
+    lines = [f"{name}: {line}" for told, name in names.items() for line in told]
+    if left:
+        lines.append(f"and {count_of(left, 'further scenario')}")
     if campaign is None or trials is None:
         return lines
     return [
