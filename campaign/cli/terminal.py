@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _WIDTH = 160
 _SILENCE_S = 30.0
+_MOST_MEDIANS = 6
 
 
 class _Plain(Console):
@@ -176,7 +177,8 @@ class ProgressListener:
         ]
         of = f" of {scenario}" if len({where for where, _ in self._errors}) > 1 else ""
         new = " of new trials" if self._resumed else ""
-        return f"median{of}{new} {'  '.join(known)}" if known else ""
+        more = f"  and {len(known) - _MOST_MEDIANS} more" if len(known) > _MOST_MEDIANS else ""
+        return f"median{of}{new} {'  '.join(known[:_MOST_MEDIANS])}{more}" if known else ""
 
     def _line(self, done: int, total: int, what: str, rate: float, median: str = "", so_far: str = "") -> None:
         """Print a line where there is no bar, now and then and at the end."""

@@ -252,6 +252,9 @@ def test_the_live_median_is_that_of_the_table(errors, tmp_path):
     assert f"median mine {np.median(errors):.3g} m" in out.getvalue()
     listener.block({"rows": [{**key, "scenario": "other", "position_error_m": 7.0}]}, 0)
     assert "median of other mine 7 m" in out.getvalue()
+    many = [{**key, "scenario": "wide", "estimator": f"m{k}", "position_error_m": 1.0} for k in range(8)]
+    listener.block({"rows": many}, 0)
+    assert "m5 1 m  and 2 more" in out.getvalue()
 
 
 class ClockSetBack:
