@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from matplotlib.figure import Figure
 
 from boresight.reports.figures.style import add_footer
-from boresight.reports.run.data import Manifest, RunData
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.records import count_of
 
 _FEW = 6
@@ -30,18 +30,19 @@ def file_stem(*parts: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", "_".join(parts))
 
 
-def run_label(manifest: Manifest) -> str:
-    """Describe a run on one line: campaign, trials, seed, commit, draft and embedded bodies."""
+def run_label(run: RunData) -> str:
+    """Describe a run on one line: campaign, trials (of those asked for), seed, commit, draft and embedded bodies."""
+    manifest, (done, asked) = run.manifest, run.progress()
+    trials = count_of(manifest.trials, "trial") if done == asked else f"{done:,} of {count_of(asked, 'trial')}"
     commit = f", commit {manifest.commit}" if manifest.commit else ""
     embedded = f", {', '.join(manifest.embedded)}" if manifest.embedded else ""
     draft = f", a draft of scale {manifest.draft:g}" if manifest.draft < 1.0 else ""
-    trials = count_of(manifest.trials, "trial")
     return f"boresight {manifest.name}, {trials}, seed {manifest.seed}{commit}{draft}{embedded}"
 
 
 def add_provenance(figure: Figure, runs: Sequence[RunData]) -> None:
     """Print the runs behind a figure in its footer."""
-    add_footer(figure, list(dict.fromkeys(run_label(run.manifest) for run in runs)))
+    add_footer(figure, list(dict.fromkeys(map(run_label, runs))))
 
 
 def with_trial_counts(figure: NamedFigure, runs: Sequence[RunData]) -> NamedFigure:

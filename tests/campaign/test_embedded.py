@@ -174,8 +174,8 @@ def test_a_run_is_found_only_where_embedded_bodies_are_wanted(run_folder):
 
 
 def test_the_footer_of_a_figure_names_draft_and_embedded_bodies(run_folder):
-    manifest = read_content(run_folder).run.manifest
-    drafted = run_label(manifest.model_copy(update={"draft": 0.05, "commit": ""}))
+    run = read_content(run_folder).run
+    drafted = run_label(replace(run, manifest=run.manifest.model_copy(update={"draft": 0.05, "commit": ""})))
     assert drafted.endswith("seed 1, a draft of scale 0.05, itokawa-like in place of itokawa_gaskell_q64.ply")
 
 
