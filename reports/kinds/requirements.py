@@ -30,11 +30,11 @@ _QUANTILES = (0.99, 0.95, 0.9, 0.75, 0.5)
 _LEAST_TRIALS = 30
 _UNSOLVED = float(np.finfo(float).max)
 _NOTE = (
-    "A trial without an estimate, or without the number, misses. Reached: the limit that would just pass. Risk:"
-    " probability of trials that speak as much for the requirement where it is just not met. Further: trials without"
-    " another miss that would pass it. Each verdict has its own risk. Trials that share a real image, or sequences that"
-    " share a set of images, count as one, which passes by its worst and fails by its best. With several data bases a"
-    " verdict is of these."
+    "Missed: trials beyond the limit, or without the number; no estimate: those of them without an estimate. Reached:"
+    " the limit that would just pass. Risk: the consumer's risk, the probability of a result at least as good where the"
+    " requirement is just not met. Further: trials without another miss that would pass it. Each verdict has its own"
+    " risk. Trials that share a real image, or sequences that share a set of images, count as one, which passes by its"
+    " worst and fails by its best. With several data bases a verdict is of these."
 )
 _LOOKED = (
     " This run was looked at and went on, or is not finished: verdicts are of a test that holds at every look, and"
@@ -49,12 +49,13 @@ _SWING_NOTE = (
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A requirement on an estimator in a scenario, and the verdict."""
+    """A requirement on an estimator in a scenario, and the verdict; ``unsolved`` of its misses have no estimate."""
 
     requirement: Requirement
     scenario: str
     estimator: str
     verdict: Verdict
+    unsolved: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +85,14 @@ def judged(run: RunData, *, trials: int | None = None, looked: bool = False) -> 
     says so, or trials that were asked for are not there.
     """
     again = looked or _could_end_elsewhere(run)
-    for requirement, scenario, estimator, values in _measured(run):
+    for requirement, scenario, estimator, values in required_values(run):
         numbers = run.rows.loc[values.index, "trial"]
         own = values.dropna() if trials is None else values[numbers < trials].dropna()
-        units = own.groupby(pd.Series(_units(run, run.rows.loc[own.index]), own.index), sort=False)
+        of_unit = pd.Series(_units(run, run.rows.loc[own.index]), own.index)
+        units, failed = own.groupby(of_unit, sort=False), run.rows.loc[own.index, "status"] != "ok"
         worst, best = (np.asarray(part, dtype=np.float64) for part in (units.max(), units.min()))
         verdict = judge(requirement, worst, best=best, looked=again, turns=max(1, run.databases))
-        yield Judged(requirement, scenario, estimator, verdict)
+        yield Judged(requirement, scenario, estimator, verdict, of_unit[failed].nunique())
 
 
 def _could_end_elsewhere(run: RunData) -> bool:
@@ -99,8 +101,8 @@ def _could_end_elsewhere(run: RunData) -> bool:
     return run.manifest.looked or done < asked
 
 
-def _measured(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Series[float]]]:
-    """Yield requirements with each scenario and estimator that they are of, and the measure of its trials."""
+def required_values(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Series[float]]]:
+    """Yield requirements with each scenario and estimator that they are of, and the measure of its trials (n,)."""
     for asked in run.manifest.requirements:
         requirement = read_requirement(asked.that, run.manifest.experiment)
         values = _values(run, requirement.measure)
@@ -147,6 +149,8 @@ def swings(run: RunData, values: pd.Series[float], quantile: float) -> list[Swin
         return []
     found = []
     for name in (name for name in _CONDITIONS if name in rows and rows[name].nunique() > third):
+        if number(rows[name].min()) == number(rows[name].max()):
+            continue
         order = np.argsort(rows[name].to_numpy(dtype=np.float64), kind="stable")
         ends = [rows.iloc[part] for part in (order[:third], order[-third:])]
         bounds = [(float(end[name].min()), float(end[name].max())) for end in ends]
@@ -164,7 +168,7 @@ def _bounded(run: RunData, rows: pd.DataFrame, values: FloatArray, quantile: flo
 
 def _tornados(run: RunData) -> Iterator[tuple[Requirement, str, float, dict[str, list[Swing]]]]:
     """Yield requirements with a limit, a scenario, a quantile, and what moves it, by estimator; none of a grid."""
-    several = () if run.manifest.grid is not None else _measured(run)
+    several = () if run.manifest.grid is not None else required_values(run)
     for (requirement, scenario), own in groupby(several, key=lambda one: one[:2]):
         found, quantile = {}, 0.5
         for _, _, estimator, values in own if requirement.limit is not None else ():
@@ -185,7 +189,8 @@ def requirement_grid(run: RunData) -> Grid | None:
             "estimator": one.estimator,
             "verdict": one.verdict.verdict,
             "missed": f"{one.verdict.missed}/{one.verdict.n}",
-            "reached": _reached(one.verdict.reached),
+            "no estimate": str(one.unsolved),
+            "reached": _reached(one.verdict.reached, measure_of(one.requirement.measure).unit or ""),
             "risk": chance(one.verdict.risk),
             "further": NO_VALUE if one.verdict.further is None else f"{one.verdict.further:,}",
         }
@@ -195,8 +200,8 @@ def requirement_grid(run: RunData) -> Grid | None:
     return row_grid("Requirements", rows, ("requirement", "scenario", "estimator", "verdict"), note) if rows else None
 
 
-def _reached(limit: float | None) -> str:
-    return NO_VALUE if limit is None else number(limit) if np.isfinite(limit) else "none"
+def _reached(limit: float | None, unit: str) -> str:
+    return NO_VALUE if limit is None else f"{number(limit)} {unit}".rstrip() if np.isfinite(limit) else "none"
 
 
 def swing_grid(run: RunData) -> Grid | None:
@@ -239,8 +244,8 @@ def requirement_figures(run: RunData) -> Iterator[NamedFigure]:
             file_stem("tornado", str(place + 1), requirement.measure, scenario),
             _draw_tornados(requirement, found, title),
             f"{title}: among the third of the trials with the least and among that with the greatest value of each"
-            f" condition, with 95 % intervals. The line is the requirement, {requirement.written}. An arrow leads to"
-            " more than is shown, or to trials that were not solved.",
+            " condition, with 95 % intervals where there are trials enough. The line is the requirement,"
+            f" {requirement.written}. An arrow leads to more than is shown, or to trials that were not solved.",
             "Bars from one quantile to the other for each condition, the widest at the top.",
         )
 
@@ -258,7 +263,8 @@ def _draw_tornados(requirement: Requirement, found: Mapping[str, Sequence[Swing]
             ax.barh(place, right - left, left=left, height=0.5, color="0.85")
             for (value, bounds), colour, label, shift in ends:
                 low, high = (most if end is None else min(end, most) for end in bounds)
-                ax.plot([0.0 if bounds[0] is None else low, high], [place + shift] * 2, color=colour, lw=1.2)
+                if any(end is not None for end in bounds):
+                    ax.plot([0.0 if bounds[0] is None else low, high], [place + shift] * 2, color=colour, lw=1.2)
                 marker = "o" if value < most else ">"
                 ax.plot(
                     min(value, most), place + shift, marker, color=colour, ms=5, label=label if place == 0 else None

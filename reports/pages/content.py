@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from boresight.reports.compare.subjects import Subject, subject_of
-from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials
+from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials, trial_numbers
 from boresight.reports.kinds import Content, report_kind
 from boresight.reports.kinds.sequence import without_pooled
 from boresight.reports.published import Comparison, load_published
@@ -24,6 +24,7 @@ from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
 from boresight.reports.statistics.measured import MEDIAN, measure_run
 from boresight.reports.statistics.paired import paired_records
+from boresight.reports.statistics.requirements import read_requirement
 from boresight.reports.statistics.roc import outlier_records
 from boresight.reports.tables import interval
 from boresight.reports.verdicts import (
@@ -143,9 +144,12 @@ def beside_published(
 def estimator_results(run: RunData) -> tuple[Measure, list[Subject]]:
     """Measure the median of each estimator over all scenarios, by the usual metric of the kind of trial.
 
-    Raises `BoresightError` if the trials have no number to go by.
+    Where requirements set a limit on one measure alone, it is that measure. Raises `BoresightError` if the trials have
+    no number to go by.
     """
-    metric = choose_metric(None, [run])
+    asked = {read_requirement(one.that, run.manifest.experiment) for one in run.manifest.requirements}
+    limited = {one.measure for one in asked if one.limit is not None} & trial_numbers(run).keys()
+    metric = choose_metric(limited.pop() if len(limited) == 1 else None, [run])
     trials = tabulate_trials([run], metric, (ESTIMATOR,))
     own = trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False)
     return metric, [subject_of(rows, (str(label),), (MEDIAN,)) for label, rows in own]
@@ -160,10 +164,10 @@ def headline(run: RunData) -> str:
     if len(found) > _MOST_IN_HEADLINE:
         return f"{len(found)} estimators: see the table"
     unit = f" {metric.unit}" if metric.unit else ""
-    parts = []
+    parts: list[str] = []
     for one in found:
         solved = f"{one.estimator}: solved {one.n_ok}/{one.n}"
-        median = f"median {metric.label} {interval(one.solved[0])}{unit}"
+        median = f"median {'' if parts else f'{metric.label} '}{interval(one.solved[0])}{unit}"
         if one.prior is None:
             parts.append(f"{solved}, {median}")
         else:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import bdtr, bdtrc, betainc, betaincc, betaln
 
-from boresight.reports.schema.tables import AFTER_REVOLUTIONS, columns_of, kind_schema
+from boresight.reports.schema.tables import AFTER_REVOLUTIONS, columns_of, kind_schema, measure_of
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 
@@ -52,6 +52,12 @@ class Requirement:
     def risk(self) -> float:
         """Probability that is allowed of passing what is not met, and of failing what is."""
         return 1.0 - self.confidence
+
+    def in_words(self) -> str:
+        """Write it as a clause, its measure by its label and with its unit."""
+        known = measure_of(self.measure)
+        what = known.label if self.limit is None else f"{known.label} below {self.limit:g} {known.unit or ''}".rstrip()
+        return f"{what} in at least {100 * self.share:g} % of all trials, with {100 * self.confidence:g} % confidence"
 
 
 def parse_requirement(text: str) -> Requirement:
