@@ -22,6 +22,7 @@ from boresight.reports.figures.pose import (
 )
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_figures, design_grids
+from boresight.reports.kinds.ranges import range_figures
 from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
@@ -270,6 +271,7 @@ def sensitivity_grid(
 def image_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the tables of a run of single images allow."""
     pairs = content.run.posed_pairs()
+    yield from range_figures(content.run)
     for scenario in dict.fromkeys(scenario for scenario, _ in pairs):
         for estimator in (name for where, name in pairs if where == scenario and name != CONTROL):
             yield pose_figure(content, scenario, estimator)

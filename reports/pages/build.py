@@ -18,6 +18,8 @@ from markupsafe import Markup
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, report_figures, report_grids, told_grids
+from boresight.reports.kinds.ranges import OVER_RANGE
+from boresight.reports.kinds.requirements import judged
 from boresight.reports.pages.content import content_of, estimator_results, headline, read_content, verdict_counts
 from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text, write_document
 from boresight.reports.run.data import RunData, read_run
@@ -42,8 +44,8 @@ _THUMB_PX = 200
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
     """Fill the page's template: what was asked and what came out first, how and from what last.
 
-    Each figure has its PNG, which is embedded. The one called `LEAD`, or else the first, comes after the card and the
-    first table of the kind of trial, if that is short: it is to be seen on the first two screens.
+    Each figure has its PNG, which is embedded. After the card come the verdicts on requirements, or else the first
+    table of the kind of trial, if that is short, and after it the figures of `_leads`.
     """
     run, manifest = content.run, content.run.manifest
     card = list(_card(content))
@@ -57,21 +59,21 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     full = [replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid for grid in full]
     shown = list(_noted_once([*brief, *full]))
     own = brief[: len(brief) - len(told_grids(content))][:1]
-    first = sum(1 for grid in own if len(grid.rows) <= _ROWS_BEFORE_LEAD)
-    embedded = embed_figures(figures)
-    lead = next((one for one in embedded if one[0].stem == LEAD), embedded[0] if embedded else None)
+    first = sum(1 for grid in own if manifest.requirements or len(grid.rows) <= _ROWS_BEFORE_LEAD)
+    leads = _leads([figure for figure, _ in figures])
+    embedded = dict(embed_figures(figures))
     return fill_template(
         "page.html",
         manifest=manifest,
         progress=run.progress(),
         card=card,
         brief=shown[:first],
-        lead=lead,
+        leads=[(one, embedded.pop(one)) for one in leads],
         facts=_facts(content),
         notes=[note for note in content.notes if note not in said],
         js=template_text("page.js"),
         grids=shown[first:],
-        figures=[one for one in embedded if one is not lead],
+        figures=list(embedded.items()),
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
@@ -80,18 +82,29 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     )
 
 
+def _leads(figures: Sequence[NamedFigure]) -> list[NamedFigure]:
+    """Choose the figures after the first table: the first of errors over range, and `LEAD`; else the first of all."""
+    over_range = [one for one in figures if one.stem.startswith(OVER_RANGE)][:1]
+    return [*over_range, *(one for one in figures if one.stem == LEAD)] or list(figures[:1])
+
+
 def _card(content: Content) -> Iterator[tuple[str, str]]:
-    """Yield what was asked, what the spacecraft knew, how much was run, and the verdicts on published values."""
+    """Yield what was asked and required, what came out, what the spacecraft knew, and how much was run."""
     run = content.run
     done, total = run.progress()
     trials = f"{done} of {total}" if done < total else f"{total:,}"
     yield from [("Asked", run.manifest.description)] if run.manifest.description else []
+    verdicts: dict[str, Counter[str]] = {}
+    for one in judged(run):
+        verdicts.setdefault(one.requirement.in_words(), Counter())[one.verdict.verdict] += 1
+    for words, counted in verdicts.items():
+        yield "Required", f"{words}: {', '.join(f'{n} {verdict}' for verdict, n in sorted(counted.items()))}"
     yield from [("Result", result)] if (result := headline(run)) else []
     yield from (("On board", line) for line in known_lines(run))
     yield "Trials", trials
     yield from [("Intervals", database_line(run))] if database_line(run) else []
-    verdicts = verdict_counts(content)
-    yield from [("Published values", verdicts)] if verdicts else []
+    published = verdict_counts(content)
+    yield from [("Published values", published)] if published else []
 
 
 def _noted_once(grids: Iterable[Grid]) -> Iterator[Grid]:
@@ -106,13 +119,8 @@ def _on_page(grid: Grid, run: RunData) -> Grid:
     """Leave out of a table what the top of the page says of all: limits of intervals, knowledge, the only scenario."""
     limits = single_draws(run)
     grid = replace(grid, title=grid.title.removesuffix(f", of {limits}") if limits else grid.title, known="")
-    if (
-        grid.columns[:1] == ("scenario",)
-        and len({row[0] for row in grid.rows}) == 1
-        and len(run.manifest.scenarios) == 1
-    ):
-        return grid.keep(*grid.columns[1:])
-    return grid
+    kept = [name for name in grid.columns if name != "scenario"]
+    return grid.keep(*kept) if len(run.manifest.scenarios) == 1 and len(kept) < len(grid.columns) else grid
 
 
 def reproduce_command(content: Content) -> str:
@@ -219,15 +227,16 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kin
 
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures in the same folder."""
-    manifest = content.run.manifest
+    manifest, card, leads = content.run.manifest, list(_card(content)), _leads(figures)
+    said = {text for _, text in card}
     return Document(
         product="boresight report",
         title=manifest.title or manifest.name,
-        facts=(),
-        lists=[("How the numbers are made", content.notes)],
+        facts=card,
+        closing=[("How the numbers are made", [note for note in content.notes if note not in said])],
         grids=report_grids(content),
-        lead=next((figure for figure in figures if figure.stem == LEAD), None),
-        figures=[figure for figure in figures if figure.stem != LEAD],
+        lead=next(iter(leads), None),
+        figures=[*leads[1:], *(figure for figure in figures if figure not in leads)],
         command=reproduce_command(content),
         credits=manifest.credits,
     ).markdown()

@@ -24,9 +24,9 @@ ON_BOARD = "On board"
 class Document:
     """Content of a page that a command, the ``product``, writes.
 
-    ``facts`` are names and values of the card below the heading, ``lists`` titles and lines before the tables. The
-    ``lead`` is the figure after the first table, ``figures`` come after all. ``command`` makes the page again;
-    ``credits`` are the credit lines of real images.
+    ``facts`` are names and values of the card below the heading, ``lists`` titles and lines before the tables, and
+    ``closing`` after the figures. The ``lead`` is the figure after the first table, ``figures`` come after all.
+    ``command`` makes the page again; ``credits`` are the credit lines of real images.
     """
 
     product: str
@@ -34,6 +34,7 @@ class Document:
     facts: Sequence[tuple[str, str]]
     grids: Sequence[Grid]
     lists: Sequence[tuple[str, Sequence[str]]] = ()
+    closing: Sequence[tuple[str, Sequence[str]]] = ()
     figures: Sequence[NamedFigure] = ()
     lead: NamedFigure | None = None
     command: str = ""
@@ -55,8 +56,11 @@ class Document:
         led = len(figures) - len(self.figures)
         title = re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(self.title.split()))
         parts = [f"# {title}", _bullets(f"{name}: {value}" for name, value in self.facts)]
-        parts += [f"## {title}\n\n{_bullets(lines)}" for title, lines in self.lists if lines]
-        parts += [*tables[:1], *figures[:led], *tables[1:], *figures[led:]]
+        lists, closing = (
+            [f"## {title}\n\n{_bullets(lines)}" for title, lines in several if lines]
+            for several in (self.lists, self.closing)
+        )
+        parts += [*lists, *tables[:1], *figures[:led], *tables[1:], *figures[led:], *closing]
         parts += [f"To make this again: `{self.command}`"] if self.command else []
         return "\n\n".join(part for part in (*parts, *self.credits) if part) + "\n"
 
