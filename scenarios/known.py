@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.onboard import onboard_spec
-from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
+from boresight.scenarios.spec.body import AlbedoMapSpec, AlbedoSpec, BodySpec
 from boresight.scenarios.spec.distribution import Law
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -204,7 +204,7 @@ def _form(body: BodySpec) -> BodySpec:
     """Return a body without its albedo and without a height error of zero, for comparison."""
     detail = None if body.detail is None else body.detail.model_copy(update={"albedo": None})
     wrong = body.height_error if body.height_error is not None and body.height_error.rms_m > 0.0 else None
-    return body.model_copy(update={"detail": detail, "height_error": wrong})
+    return body.model_copy(update={"detail": detail, "height_error": wrong, "albedo_map": None})
 
 
 def _albedo(spec: ScenarioSpec) -> Item:
@@ -215,9 +215,10 @@ def _albedo(spec: ScenarioSpec) -> Item:
     return _item(ALBEDO, believed == true, "taken as uniform" if believed is None else "another")
 
 
-def _variation(body: BodySpec) -> AlbedoSpec | None:
+def _variation(body: BodySpec) -> tuple[AlbedoSpec | AlbedoMapSpec, ...] | None:
     pattern = None if body.detail is None else body.detail.albedo
-    return pattern if pattern is not None and pattern.sigma > 0.0 else None
+    drawn = pattern if pattern is not None and pattern.sigma > 0.0 else None
+    return tuple(one for one in (drawn, body.albedo_map) if one is not None) or None
 
 
 def _unmodelled(spec: ScenarioSpec) -> list[Item]:

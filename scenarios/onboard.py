@@ -39,7 +39,9 @@ def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
         known = {} if onboard.albedo == "as-truth" else {"albedo": None}
         relief = {} if onboard.relief is None else {"redrawn": onboard.relief}
         detail = detail.model_copy(update={**changes, **known, **relief})
-    return body.model_copy(update={"detail": detail, "height_error": onboard.height_error or body.height_error})
+    mapped = body.albedo_map if onboard.albedo == "as-truth" else None
+    heights = onboard.height_error or body.height_error
+    return body.model_copy(update={"detail": detail, "height_error": heights, "albedo_map": mapped})
 
 
 def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:

@@ -29,7 +29,6 @@ from boresight.campaign.runs.execute import Losses, run_block
 from boresight.campaign.runs.manifest import Cluster
 from boresight.campaign.store import Block
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
-from boresight.scenarios.bodies import EMBEDDED
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
@@ -189,9 +188,9 @@ def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
 def _data(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
     """Yield the files of a scenario as it names them, and where they are here."""
     spec, dirs = scenario.spec, scenario.search_dirs
-    for shape in dict.fromkeys(body.shape for body in (*spec.bodies, onboard_spec(spec).body)):
-        if shape not in EMBEDDED:
-            yield _portable(shape, scenario), find_data_file(shape, dirs, "shapes", "body.shape")
+    bodies = (*spec.bodies, onboard_spec(spec).body)
+    for name in dict.fromkeys(name for body in bodies for name in body.files):
+        yield _portable(name, scenario), find_data_file(name, dirs, "shapes", "body")
     for name, path in image_files(scenario):
         yield _portable(name, scenario), path
 

@@ -29,7 +29,6 @@ from boresight.scenarios.load import (
     scenario_names,
 )
 from boresight.scenarios.onboard import onboard_spec
-from boresight.scenarios.spec.body import EMBEDDED_NAMES
 from boresight.scenarios.spec.campaign import CampaignSpec, GridCell, GridVariation, grid_cells
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -162,15 +161,14 @@ def _change_data(overrides: Iterable[str]) -> bool:
 def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
     """Yield the shapes, images, tracks and kernels that a scenario reads, whether they are there or not."""
     spec, dirs = scenario.spec, scenario.search_dirs
-    named = [("shapes", body.shape) for body in (*spec.bodies, onboard_spec(spec).body)]
+    named = [("shapes", file) for body in (*spec.bodies, onboard_spec(spec).body) for file in body.files]
     if spec.images is not None:
         named.append(("images", spec.images.folder))
         named += [("spice", kernel) for kernel in (spec.images.spice.kernels if spec.images.spice else ())]
     if spec.sequence is not None and spec.sequence.tracks is not None:
         named += [("tables", spec.sequence.tracks.table), ("tables", spec.sequence.tracks.poses)]
     for kind, name in dict.fromkeys(named):
-        if name not in EMBEDDED_NAMES:
-            yield Need(name, is_there(name, dirs, kind), kind)
+        yield Need(name, is_there(name, dirs, kind), kind)
 
 
 def in_words(seconds: float) -> str:

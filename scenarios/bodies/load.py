@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.bodies.albedo import ALBEDO_MAP_VERSION, with_albedo_map
 from boresight.scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from boresight.scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
 from boresight.scenarios.bodies.noise import Band, fractal_field
@@ -22,7 +23,7 @@ from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
-from boresight.scenarios.spec.body import BodySpec, DetailSpec, FurtherHeightErrorSpec, HeightErrorSpec
+from boresight.scenarios.spec.body import AlbedoMapSpec, BodySpec, DetailSpec, FurtherHeightErrorSpec, HeightErrorSpec
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}
@@ -249,13 +250,15 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     if body is None:
         mesh, notes = _coarse(spec, path)
         if spec.detail is not None:
-            # Cached without the height error, which is added afterwards: several errors share one detailed body. The
-            # coarse shape is checked in either case.
-            without = body_digest(spec.model_copy(update={"height_error": None}), search_dirs)
+            # Cached without height error and albedo map, which are added afterwards: several share one detailed body.
+            # The coarse shape is checked in either case.
+            without = body_digest(spec.model_copy(update={"height_error": None, "albedo_map": None}), search_dirs)
             mesh, more = _detailed(mesh, spec.detail, without, cache)
             notes = (*notes, *more)
         if spec.height_error is not None:
             mesh = with_height_error(mesh, spec.height_error)
+        if spec.albedo_map is not None:
+            mesh = with_albedo_map(mesh, spec.albedo_map, _map_path(spec.albedo_map, search_dirs))
         name, source = (spec.shape, "embedded") if path is None else (path.name, str(path))
         _in_use[key] = body = Body(mesh, name, source, digest, notes)
     return body
@@ -265,8 +268,8 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     """Digest (hexadecimal SHA-256) of what determines the mesh, without making it.
 
     It covers the bytes of the shape file (not its path) or the name of the embedded body, the keys that change
-    how it is read, resampling, detail and height error, and the versions of the code. Shading and the expected
-    diameter are not in it: they do not change the mesh.
+    how it is read, resampling, detail, height error and albedo map, and the versions of the code. Shading and the
+    expected diameter are not in it: they do not change the mesh.
     """
     path = _shape_path(spec, search_dirs)
     content: dict[str, object] = {
@@ -279,6 +282,9 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
         content["even"] = [spec.even_facets, EVEN_VERSION]
     if spec.height_error is not None:
         content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
+    if spec.albedo_map is not None:
+        file = hashlib.sha256(_bytes(_map_path(spec.albedo_map, search_dirs))).hexdigest()
+        content["albedo_map"] = [file, spec.albedo_map.left_deg, spec.albedo_map.unity, ALBEDO_MAP_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -295,11 +301,15 @@ def _shape_path(spec: BodySpec, search_dirs: Sequence[Path]) -> Path | None:
     return None
 
 
+def _map_path(spec: AlbedoMapSpec, search_dirs: Sequence[Path]) -> Path:
+    return find_data_file(spec.file, search_dirs, "shapes", "body.albedo_map.file")
+
+
 def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise BoresightError(f"{path}: cannot read the shape file: {error.strerror or error}") from error
+        raise BoresightError(f"{path}: cannot read the file: {error.strerror or error}") from error
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:

@@ -112,6 +112,16 @@ class HeightErrorSpec(SpecModel):
             raise ValueError("min_wavelength_m is above max_wavelength_m")
 
 
+class AlbedoMapSpec(SpecModel):
+    """Albedo by a grey image of 360 x 180 deg, north up, longitude growing eastward from left to right."""
+
+    file: str = Field(description="PNG or TIFF, 8 or 16 bit, twice as wide as high")
+    left_deg: float = Field(-180.0, ge=-360, le=360, description="East longitude of the left edge")
+    unity: float | None = Field(
+        None, gt=0, description="Pixel value of factor 1 on the reflectance; left out: the mean over the sphere"
+    )
+
+
 class FurtherHeightErrorSpec(HeightErrorSpec):
     """Error of a surface whose heights have an error already; made by rehearsals, no key of a scenario."""
 
@@ -136,10 +146,17 @@ class BodySpec(SpecModel):
     )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")
+    albedo_map: AlbedoMapSpec | None = optional("Map of the albedo, a factor beside detail.albedo")
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files that the body is made from; an embedded shape is none."""
+        shape = () if self.shape in EMBEDDED_NAMES else (self.shape,)
+        return shape if self.albedo_map is None else (*shape, self.albedo_map.file)
 
     def embedded(self) -> BodySpec:
         """Return the body with the built-in replacement of its shape file; the same body if there is none."""
         if self.shape not in STAND_INS:
             return self
         reading = {key: BodySpec.model_fields[key].default for key in ("unit", "format", "longitude")}
-        return self.model_copy(update={**reading, "shape": STAND_INS[self.shape]})
+        return self.model_copy(update={**reading, "shape": STAND_INS[self.shape], "albedo_map": None})

@@ -246,10 +246,10 @@ class ScenarioSpec(SpecModel):
 
     @rule
     def _craters_on_a_smooth_body(self) -> None:
-        body = self.body
-        if self.craters is not None and (body.detail is not None or body.height_error is not None):
-            raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
-        if self.craters is not None and body.shading != "flat":
+        if self.craters is not None and (beside := self.body.stated("detail", "height_error", "albedo_map")):
+            told = " and ".join(f"body.{key}" for key in beside)
+            raise ValueError(f"craters are put on a smooth shape: leave out {told}")
+        if self.craters is not None and self.body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
 
     @rule

@@ -10,6 +10,8 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("distributed", reason="distributed (the extra dask) is not installed")
@@ -126,7 +128,9 @@ def bundled(tmp_path, monkeypatch):
     shape = "v 100 0 0\nv 0 80 0\nv -100 0 0\nv 0 -80 0\nv 0 0 60\nv 0 0 -60\n"
     shape += "".join(f"f {a} {b} 5\nf {b} {a} 6\n" for a, b in ((1, 2), (2, 3), (3, 4), (4, 1)))
     (tmp_path / "rock.obj").write_text(shape)
-    (tmp_path / "scene.yaml").write_text("extends: quickstart\nbody: {shape: rock.obj, unit: m}\n")
+    cv2.imwrite(str(tmp_path / "map.png"), np.full((4, 8), 9, dtype=np.uint8))
+    body = "{shape: rock.obj, unit: m, albedo_map: {file: map.png}}"
+    (tmp_path / "scene.yaml").write_text(f"extends: quickstart\nbody: {body}\n")
     (tmp_path / "c.yaml").write_text("title: t\nscenarios: [scene.yaml]\nestimators: [prior]\ntrials: 1\nseed: 1\n")
     campaign = resolve(str(tmp_path / "c.yaml"), variant=choose_variant().name)
     return campaign, bundle_of(campaign, tmp_path / "run")
@@ -139,6 +143,7 @@ def test_a_bundle_holds_what_a_scenario_reads_and_is_opened_elsewhere(bundled, t
     there, folder = opened(bundle.digest, bundle.assets.__getitem__, tmp_path)
     assert there.digest == campaign.digest
     assert (folder / "data" / "rock.obj").read_text().startswith("v 100 0 0")
+    assert (folder / "data" / "map.png").is_file()
     assert there.scenarios[0].search_dirs == (folder / "data",)
     asked = []
     opened.cache_clear()

@@ -33,6 +33,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "body.unit": ("shape", "km"),
     "body.longitude": ("grid", "west"),
     "body.even_facets": ("ball", "2000"),
+    "body.albedo_map.file": (None, "more-map.png"),
     "body.detail.facets": (None, "40000"),
     "camera.distortion.opencv": ("lens", "[-0.3, 0.1, 0.01, 0]"),
     "camera.principal_point_px": (None, "[25, 19]"),

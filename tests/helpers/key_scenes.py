@@ -119,6 +119,7 @@ SCENES = {
         "trajectory: {descent: {direction: [1, 0.5, 0.2], from_altitude_m: 1800, to_altitude_m: 1200, rate_m_s: 0.2,"
         " step_s: 1500}}",
     ),
+    "mapped": RENDERED.replace("body:\n", "body:\n  albedo_map: {file: map.png, left_deg: 20, unity: 90}\n"),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
     "real": """
@@ -259,6 +260,8 @@ def write_scenes(folder: Path) -> None:
     places = [(latitude, longitude) for latitude in range(-90, 91, 15) for longitude in range(0, 361, 15)]
     lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    for name, bright in (("map", 60), ("more-map", 90)):
+        cv2.imwrite(str(folder / f"{name}.png"), np.linspace(bright, 120, 200, dtype=np.uint8).reshape(10, 20))
     (folder / "camera.ti").write_text(CAMERA)
     for name, height_m in (("states", 300.0), ("other", 400.0)):
         rows = [f"{600 * k},{-1500 - 90 * k},1200,{height_m},0.1,0.1,0" for k in range(3)]
