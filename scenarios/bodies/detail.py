@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.bodies.noise import Band, SmallScaleSeed, fractal_field
 from boresight.scenarios.bodies.topology import (
     IntArray,
     find_edges,
     interpolating_control,
     refine,
+    refine_where,
     rounds_for,
     smoothed,
+    smoothstep,
     tangent_axes,
     unit,
     vertex_normals,
 )
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec
+from boresight.scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, SiteSpec
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -35,6 +37,7 @@ _TOPS = 3  # planes that bound a boulder's top
 # is r (2 - r), of slope 2 / 0.6 per half-width, times 0.35 diameters.
 _WALL = 0.6
 _RIM_WIDTH = 0.4  # width of the rounded rim, in crater radii
+_SITE_FADES = 0.2  # share of a site's radius
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
 
 _PAIRS_AT_ONCE = 4_000_000  # of a feature and a vertex, which bounds the memory
@@ -48,7 +51,8 @@ class RefinedSurface:
 
     ``points_m`` (V, 3) are its vertices, ``up`` (V, 3) the unit vectors along which they are displaced, ``edge_m`` the
     mean length of an edge. Features are placed on the surface before refinement, ``coarse_m`` and ``coarse_faces``, so
-    that their positions do not depend on the number of facets.
+    that their positions do not depend on the number of facets. With a ``site``, its centre and radius, m, the first
+    ``even`` vertices are those of the surface without it, and only features that reach it are wanted.
     """
 
     points_m: FloatArray
@@ -56,6 +60,8 @@ class RefinedSurface:
     edge_m: float
     coarse_m: FloatArray
     coarse_faces: IntArray
+    even: int | None = None
+    site: tuple[FloatArray, float] | None = None
 
     @property
     def resolution_m(self) -> float:
@@ -79,6 +85,13 @@ class RefinedSurface:
         places = np.einsum("nk,nki->ni", weights, corners[np.minimum(face, len(area) - 1)])
         return np.asarray(self.tree.query(places)[1], dtype=np.int64)
 
+    def wanted(self, places: IndexArray, reach_m: FloatArray) -> IndexArray:
+        """Return which of the features at vertices (N,), with effect up to ``reach_m`` (N,), are wanted."""
+        if self.site is None:
+            return np.arange(len(places))
+        centre_m, radius_m = self.site
+        return np.flatnonzero(np.linalg.norm(self.points_m[places] - centre_m, axis=1) <= radius_m + reach_m)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureVertices:
@@ -101,9 +114,10 @@ def power_law_diameters(
 def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: FloatArray) -> Iterator[FeatureVertices]:
     """Yield the vertices within ``reach_m`` (N,) of each vertex of ``places`` (N,), in blocks of bounded memory."""
     # Expected vertices within a radius r of a mesh of edge a: pi r^2 / (0.87 a^2) is 3.6 (r / a)^2.
-    pairs = np.cumsum(4.0 * (reach_m / ground.edge_m) ** 2 + 1.0)
+    wanted = ground.wanted(places, reach_m)
+    pairs = np.cumsum(4.0 * (reach_m[wanted] / ground.edge_m) ** 2 + 1.0)
     block = (pairs / _PAIRS_AT_ONCE).astype(np.int64)
-    for features in np.split(np.arange(len(places)), np.flatnonzero(np.diff(block)) + 1):
+    for features in np.split(wanted, np.flatnonzero(np.diff(block)) + 1):
         found = ground.tree.query_ball_point(ground.points_m[places[features]], reach_m[features], return_sorted=True)
         feature = np.repeat(features, [len(vertices) for vertices in found])
         vertex = np.fromiter((v for vertices in found for v in vertices), np.int64, len(feature))
@@ -165,9 +179,7 @@ def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
     # The blanket r^-3 is lowered so that it ends at height 0, and scaled back to the rim's height at r = 1.
     end = _CRATER_REACH**-3
     blanket = spec.rim_ratio * (np.maximum(radii, 1.0) ** -3 - end) / (1.0 - end)
-    outside = np.clip((radii - 1.0) / _RIM_WIDTH + 0.5, 0.0, 1.0)
-    # Smoothstep: no crease at the ends of the blend.
-    outside = outside * outside * (3.0 - 2.0 * outside)
+    outside = smoothstep((radii - 1.0) / _RIM_WIDTH + 0.5)
     return (1.0 - outside) * bowl + outside * np.maximum(blanket, 0.0)
 
 
@@ -237,14 +249,57 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     The refined surface is Loop's, fitted so that it passes through the coarse vertices (see `interpolating_control`).
     Each vertex is then displaced along one direction, the coarse surface's normal smoothed over twice the height of the
     relief, by the sum of boulders, craters and roughness. The relief is a height field and has no overhangs. Features
-    smaller than two edges of the refined mesh are left out.
+    smaller than two edges of the refined mesh are left out. A site has finer facets, and the features that these
+    resolve.
 
     Return the detailed mesh, and a note for each kind of feature of which some are too small for it. Raise
-    BoresightError if both the mesh and the spec have an albedo.
+    BoresightError if both the mesh and the spec have an albedo, or the site is not finer than the rest.
     """
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
     ground, faces, coarse_albedo = _refined(mesh, spec)
+    heights, drawn, notes = _relief(ground, spec)
+    points_m, factor = ground.points_m + heights[:, None] * ground.up, coarse_albedo if drawn is None else drawn
+    detailed = TriangleMesh(points_m, faces.astype(np.int32), factor)
+    return (detailed, notes) if spec.site is None else _with_site(detailed, notes, ground, spec, spec.site)
+
+
+def _with_site(
+    mesh: TriangleMesh, notes: tuple[str, ...], ground: RefinedSurface, spec: DetailSpec, site: SiteSpec
+) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Refine the facets of a site and move their vertices to the relief that they resolve."""
+    if site.edge_m >= ground.edge_m:
+        raise BoresightError(
+            f"detail.site.edge_m: {site.edge_m:g} m is not below the {ground.edge_m:.3g} m of all facets; lower it, or"
+            " remove detail.site"
+        )
+    towards = unit(np.array(site.direction))
+    centre_m = TriangleMesh(ground.points_m, mesh.faces).distance_along_m(towards) * towards
+    columns = [ground.points_m, ground.up, mesh.vertices_m] + ([] if mesh.albedo is None else [mesh.albedo[:, None]])
+
+    def is_near(corners_m: FloatArray, reach_m: FloatArray) -> BoolArray:
+        near: BoolArray = np.linalg.norm(corners_m.mean(axis=1) - centre_m, axis=1) <= site.radius_m + reach_m
+        return near
+
+    fine, faces = refine_where(np.hstack(columns), mesh.faces, site.edge_m, is_near)
+    points_m, up, before_m = fine[:, :3], unit(fine[:, 3:6]), fine[:, 6:9]
+    finer = replace(
+        ground, points_m=points_m, up=up, edge_m=site.edge_m, even=len(ground.points_m), site=(centre_m, site.radius_m)
+    )
+    heights, drawn, further = _relief(finer, spec)
+    inside = (site.radius_m - np.linalg.norm(points_m - centre_m, axis=1)) / (_SITE_FADES * site.radius_m)
+    share = smoothstep(inside)[:, None]
+    # As a step from the surface without the site, which is thus left as it is where the share is 0.
+    moved_m = before_m + share * (points_m + heights[:, None] * up - before_m)
+    factor = None if mesh.albedo is None else fine[:, 9]
+    if factor is not None and drawn is not None:
+        factor = factor + share[:, 0] * (drawn - factor)
+    notes = (*notes, *(f"at the site: {note}" for note in further))
+    return TriangleMesh(moved_m, faces.astype(np.int32), factor), notes
+
+
+def _relief(ground: RefinedSurface, spec: DetailSpec) -> tuple[FloatArray, FloatArray | None, tuple[str, ...]]:
+    """Heights (V,) of all features, factor (V,) on the albedo if it varies, and notes on features left out."""
     # One stream for each kind of feature: adding a kind leaves the others as they are.
     boulders, craters, roughness, albedo = np.random.SeedSequence(spec.seed).spawn(4)
     seeds = [] if spec.redrawn is None else np.random.SeedSequence(spec.redrawn.seed).spawn(4)
@@ -261,19 +316,18 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     if spec.roughness is not None:
         band = Band(spec.roughness.max_wavelength_m, spec.roughness.min_wavelength_m, spec.roughness.hurst)
         relief, omitted["octaves of roughness"] = fractal_field(
-            ground.points_m, band, ground.resolution_m, roughness, small_roughness
+            ground.points_m, band, ground.resolution_m, roughness, small_roughness, ground.even
         )
         heights += spec.roughness.rms_m * relief
-    factor = coarse_albedo
+    factor = None
     if spec.albedo is not None:
         factor, omitted["octaves of albedo"] = _albedo(spec.albedo, ground, albedo)
-    points_m = ground.points_m + heights[:, None] * ground.up
     notes = tuple(
         f"{count} {what} are smaller than two facet edges ({ground.resolution_m:.3g} m) and were left out"
         for what, count in omitted.items()
         if count
     )
-    return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
+    return heights, factor, notes
 
 
 def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:
@@ -305,5 +359,5 @@ def _albedo(spec: AlbedoSpec, ground: RefinedSurface, seed: np.random.SeedSequen
     """Factor (V,) on the reflectance, and the number of octaves left out."""
     shortest_m = spec.wavelength_m / 2 ** (_ALBEDO_OCTAVES - 1)
     band = Band(spec.wavelength_m, shortest_m, _ALBEDO_HURST)
-    field, omitted = fractal_field(ground.points_m, band, ground.resolution_m, seed)
+    field, omitted = fractal_field(ground.points_m, band, ground.resolution_m, seed, even=ground.even)
     return np.clip(1.0 + spec.sigma * field, *_ALBEDO_RANGE), omitted

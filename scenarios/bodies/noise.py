@@ -50,12 +50,14 @@ def fractal_field(
     resolution_m: float,
     seed: np.random.SeedSequence,
     small: SmallScaleSeed | None = None,
+    even: int | None = None,
 ) -> tuple[FloatArray, int]:
     """Sum the octaves of a band at points (N, 3): a field (N,) of mean 0, and the number of octaves left out.
 
     Octaves shorter than ``resolution_m`` cannot be resolved by the mesh and are left out; with all of them the RMS is
     1. Each octave has its own random stream, so that the long ones depend on the number of facets by their
-    normalisation over the points alone. Octaves shorter than ``small.below_m`` are drawn from ``small.seed``.
+    normalisation over the points alone. That is over the first ``even`` points, by default all: further ones may crowd
+    at a place. Octaves shorter than ``small.below_m`` are drawn from ``small.seed``.
     """
     field = np.zeros(len(points_m))
     omitted = 0
@@ -68,10 +70,10 @@ def fractal_field(
         # Two lattice steps make the shortest wave of a lattice.
         octave = _lattice_noise(points_m * (2.0 / wavelength_m), np.random.default_rng(stream))
         # Normalised over the surface: a lattice much coarser than the body has few independent values on it.
-        field += amplitude * (octave - octave.mean()) / octave.std()
+        field += amplitude * (octave - octave[:even].mean()) / octave[:even].std()
         variance += amplitude**2
     # The octaves that are left keep their share of the variance of the whole band.
-    return (field * np.sqrt(variance) / field.std() if variance else field), omitted
+    return (field * np.sqrt(variance) / field[:even].std() if variance else field), omitted
 
 
 def _streams(band: Band, seed: np.random.SeedSequence, small: SmallScaleSeed | None) -> list[np.random.SeedSequence]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 IntArray = NDArray[np.integer]
 
@@ -68,6 +69,12 @@ def unit(vectors: FloatArray) -> FloatArray:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
     return scaled
+
+
+def smoothstep(share: FloatArray) -> FloatArray:
+    """Blend from 0 to 1 where a share rises from 0 to 1, with no crease at the ends."""
+    share = np.clip(share, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,3 +179,52 @@ def _split(faces: IntArray, edges: MeshEdges, n_old: int) -> IntArray:
     # Three triangles at the corners and one in the middle, each with the winding of its parent.
     children = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
     return children.reshape(-1, 3)
+
+
+def refine_where(
+    values: FloatArray, faces: IntArray, edge_m: float, is_near: Callable[[FloatArray, FloatArray], BoolArray]
+) -> tuple[FloatArray, IntArray]:
+    """Bisect the facets of a region until their edges are at most ``edge_m`` long; the mesh stays closed.
+
+    ``values`` (V, k) hold the position in the first three columns; at the middle of an edge all are averaged, so that
+    the surface stays as it is. ``is_near`` tells from the corners (n, 3, 3) and the longest edges (n,) of facets
+    whether they belong to the region. A facet that is divided is divided at its longest edge at least, which bounds the
+    angles (Rivara 1984) and divides some facets beside the region too. The original vertices come first in the result,
+    facets that are left as they are first among the facets.
+    """
+    while True:
+        edges = find_edges(faces)
+        lengths = edges.lengths(values[:, :3])[edges.of_face]
+        longest = lengths.argmax(axis=1)
+        coarse = np.flatnonzero(lengths.max(axis=1) > edge_m)
+        coarse = coarse[is_near(values[faces[coarse], :3], lengths.max(axis=1)[coarse])]
+        if not len(coarse):
+            return values, faces
+        marked = np.zeros(len(edges.ends), dtype=bool)
+        marked[edges.of_face[coarse][lengths[coarse] > edge_m]] = True
+        bases = np.take_along_axis(edges.of_face, longest[:, None], axis=1)[:, 0]
+        while len(unmarked := np.flatnonzero(marked[edges.of_face].any(axis=1) & ~marked[bases])):
+            marked[bases[unmarked]] = True
+        middle = len(values) + np.cumsum(marked) - 1
+        values = np.concatenate([values, values[edges.ends[marked]].mean(axis=1)])
+        faces = _bisected(faces, edges.of_face, longest, marked, middle)
+
+
+def _bisected(
+    faces: IntArray, of_face: IndexArray, longest: IndexArray, marked: BoolArray, middle: IndexArray
+) -> IntArray:
+    """Divide the facets with marked edges at the new vertices ``middle`` (E,), first at the longest edge (F,)."""
+    divided = marked[of_face].any(axis=1)
+    order = (longest[divided, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(faces[divided].astype(np.int64), order, axis=1).T
+    edge = np.take_along_axis(of_face[divided], order, axis=1)
+    ab, bc, ca = middle[edge].T
+    _, right, left = marked[edge].T
+    children = [faces[~divided]]
+    # The halves a, ab, c and ab, b, c: whole, or divided again at their other marked edge.
+    for chosen, corners in (
+        (~left, (a, ab, c)), (left, (a, ab, ca)), (left, (ab, c, ca)),
+        (~right, (ab, b, c)), (right, (ab, b, bc)), (right, (ab, bc, c)),
+    ):  # fmt: skip
+        children.append(np.stack(corners, axis=1)[chosen])
+    return np.concatenate(children)

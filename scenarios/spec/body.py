@@ -84,6 +84,21 @@ class RedrawnSpec(SpecModel):
     seed: int = Field(ge=0, description="Seed of these features, instead of the seed of the detail")
 
 
+class SiteSpec(SpecModel):
+    """A place of finer facets, with the relief that they resolve; it fades over the outer fifth of the radius."""
+
+    direction: tuple[float, float, float] = Field(description="From the body's origin to the centre, body frame")
+    radius_m: float = Field(gt=0, description="Distance from the centre at which it ends")
+    edge_m: float = Field(gt=0, description="Longest edge of its facets, before the relief")
+
+    @rule
+    def _check(self) -> None:
+        if not any(self.direction):
+            raise ValueError("direction has no length")
+        if self.radius_m > 1000.0 * self.edge_m:
+            raise ValueError("radius_m is above 1000 edge_m, which makes 14 million facets")
+
+
 class DetailSpec(SpecModel):
     """Subdivision of a coarse shape with added relief; the same seed gives the same body."""
 
@@ -95,6 +110,7 @@ class DetailSpec(SpecModel):
     albedo: AlbedoSpec | None = None
     # Excluded from digests if not given: keeps the digests of bodies without it.
     redrawn: RedrawnSpec | None = optional("Small relief from another seed")
+    site: SiteSpec | None = optional("A place, as a landing site, that has finer facets")
 
 
 class HeightErrorSpec(SpecModel):

@@ -35,6 +35,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "body.even_facets": ("ball", "2000"),
     "body.albedo_map.file": (None, "more-map.png"),
     "body.detail.facets": (None, "40000"),
+    "body.detail.site.direction": (None, "[0, 1, 0]"),
     "camera.distortion.opencv": ("lens", "[-0.3, 0.1, 0.01, 0]"),
     "camera.principal_point_px": (None, "[25, 19]"),
     "detector.full_well_e": (None, "20000"),

@@ -119,6 +119,9 @@ SCENES = {
         "trajectory: {descent: {direction: [1, 0.5, 0.2], from_altitude_m: 1800, to_altitude_m: 1200, rate_m_s: 0.2,"
         " step_s: 1500}}",
     ),
+    "site": RENDERED.replace(
+        "    boulders:", "    site: {direction: [0.2, 1, 0.3], radius_m: 120, edge_m: 5}\n    boulders:"
+    ),
     "mapped": RENDERED.replace("body:\n", "body:\n  albedo_map: {file: map.png, left_deg: 20, unity: 90}\n"),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
