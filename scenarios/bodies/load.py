@@ -16,6 +16,7 @@ from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.albedo import ALBEDO_MAP_VERSION, with_albedo_map
 from boresight.scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from boresight.scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
+from boresight.scenarios.bodies.local import LOCAL_VERSION, with_local
 from boresight.scenarios.bodies.noise import Band, fractal_field
 from boresight.scenarios.bodies.readers import READER_VERSION, RawShape, read_shape
 from boresight.scenarios.bodies.topology import directed_edge_keys, find_edges, is_closed, rounds_for, vertex_normals
@@ -23,7 +24,7 @@ from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
-from boresight.scenarios.spec.body import AlbedoMapSpec, BodySpec, DetailSpec, FurtherHeightErrorSpec, HeightErrorSpec
+from boresight.scenarios.spec.body import AlbedoMapSpec, BodySpec, FurtherHeightErrorSpec, HeightErrorSpec, LocalSpec
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}
@@ -237,7 +238,7 @@ _in_use: WeakValueDictionary[tuple[object, ...], Body] = WeakValueDictionary()
 
 
 def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None) -> Body:
-    """Read or make the shape, check it, and add the detail; a body already in use in this process is shared.
+    """Read or make the shape, check it, add detail and local shapes; a body already in use in this process is shared.
 
     A relative shape file is looked for in ``search_dirs``, then under BORESIGHT_DATA. Detailed bodies are kept in
     ``cache``, by default the user's. Raise BoresightError if the shape is not found or not valid, or a key of the spec
@@ -249,11 +250,11 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     body = _in_use.get(key)
     if body is None:
         mesh, notes = _coarse(spec, path)
-        if spec.detail is not None:
+        if spec.detail is not None or spec.local:
             # Cached without height error and albedo map, which are added afterwards: several share one detailed body.
             # The coarse shape is checked in either case.
             without = body_digest(spec.model_copy(update={"height_error": None, "albedo_map": None}), search_dirs)
-            mesh, more = _detailed(mesh, spec.detail, without, cache)
+            mesh, more = _detailed(mesh, spec, search_dirs, without, cache)
             notes = (*notes, *more)
         if spec.height_error is not None:
             mesh = with_height_error(mesh, spec.height_error)
@@ -268,8 +269,8 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     """Digest (hexadecimal SHA-256) of what determines the mesh, without making it.
 
     It covers the bytes of the shape file (not its path) or the name of the embedded body, the keys that change
-    how it is read, resampling, detail, height error and albedo map, and the versions of the code. Shading and the
-    expected diameter are not in it: they do not change the mesh.
+    how it is read, resampling, detail, local shapes, height error and albedo map, and the versions of the code.
+    Shading and the expected diameter are not in it: they do not change the mesh.
     """
     path = _shape_path(spec, search_dirs)
     content: dict[str, object] = {
@@ -280,6 +281,17 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     }
     if spec.even_facets is not None:
         content["even"] = [spec.even_facets, EVEN_VERSION]
+    if spec.local:
+        files = [_local_path(one, search_dirs) for one in spec.local]
+        content["local"] = [
+            [
+                hashlib.sha256(_bytes(file)).hexdigest(),
+                file.suffix.lower(),
+                one.model_dump(mode="json", exclude={"shape"}),
+            ]
+            for one, file in zip(spec.local, files, strict=True)
+        ]
+        content["local_version"] = LOCAL_VERSION
     if spec.height_error is not None:
         content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
     if spec.albedo_map is not None:
@@ -299,6 +311,10 @@ def _shape_path(spec: BodySpec, search_dirs: Sequence[Path]) -> Path | None:
                 f"body.{key}: {getattr(spec, key)} has no meaning for the embedded body {spec.shape}; remove the key"
             )
     return None
+
+
+def _local_path(spec: LocalSpec, search_dirs: Sequence[Path]) -> Path:
+    return find_data_file(spec.shape, search_dirs, "shapes", "body.local.shape")
 
 
 def _map_path(spec: AlbedoMapSpec, search_dirs: Sequence[Path]) -> Path:
@@ -326,12 +342,18 @@ def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str,
 
 
 def _detailed(
-    coarse: TriangleMesh, detail: DetailSpec, digest: str, cache: Cache
+    coarse: TriangleMesh, spec: BodySpec, search_dirs: Sequence[Path], digest: str, cache: Cache
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Take the detailed mesh from the cache, or make it."""
+    """Take the mesh with its detail and local shapes from the cache, or make it."""
 
     def build(folder: Path) -> None:
-        mesh, detail_notes = add_detail(coarse, detail)
+        mesh, detail_notes = (coarse, ()) if spec.detail is None else add_detail(coarse, spec.detail)
+        for one in spec.local or ():
+            path = _local_path(one, search_dirs)
+            shape = read_shape(path, one.format)
+            vertices, faces, _ = _repaired(shape.vertices * METRES[shape.unit or one.unit], shape.faces)
+            mesh, note = with_local(mesh, vertices, faces, one, path)
+            detail_notes = (*detail_notes, note)
         np.save(folder / "vertices_m.npy", mesh.vertices_m)
         np.save(folder / "faces.npy", mesh.faces)
         if mesh.albedo is not None:

@@ -22,7 +22,7 @@ from boresight.scenarios.spec.craters import CraterPairsSpec, CratersSpec
 Model = TypeVar("Model", bound=SpecModel)
 Sides = tuple[float, float, float]
 
-_ADDED_TO_SHAPE = ("detail", "height_error", "even_facets", "albedo_map")
+_ADDED_TO_SHAPE = ("detail", "height_error", "even_facets", "local", "albedo_map")
 _THOMSEN = 1.6075
 
 

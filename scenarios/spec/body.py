@@ -128,6 +128,20 @@ class HeightErrorSpec(SpecModel):
             raise ValueError("min_wavelength_m is above max_wavelength_m")
 
 
+class LocalSpec(SpecModel):
+    """A finer shape of a part of the surface: an open mesh in the body's frame, onto which the facets are moved."""
+
+    shape: str = Field(description="A file name")
+    unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the file; dsk files are in km")
+    format: Literal["auto", "obj", "ply", "pds-plates", "dsk"] = Field("auto", description="Format of the file")
+    blend_m: float | None = Field(
+        None, gt=0, description="Width within its edge where it fades into the body; left out: a tenth of its own width"
+    )
+    edge_m: float | None = Field(
+        None, gt=0, description="Longest edge of the body's facets there; left out: the mean of its own edges"
+    )
+
+
 class AlbedoMapSpec(SpecModel):
     """Albedo by a grey image of 360 x 180 deg, north up, longitude growing eastward from left to right."""
 
@@ -162,17 +176,21 @@ class BodySpec(SpecModel):
     )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")
+    local: tuple[LocalSpec, ...] | None = optional(
+        "Finer shapes of parts of the surface, in place of the body's after its detail; later ones over earlier ones"
+    )
     albedo_map: AlbedoMapSpec | None = optional("Map of the albedo, a factor beside detail.albedo")
 
     @property
     def files(self) -> tuple[str, ...]:
         """Names of the files that the body is made from; an embedded shape is none."""
         shape = () if self.shape in EMBEDDED_NAMES else (self.shape,)
-        return shape if self.albedo_map is None else (*shape, self.albedo_map.file)
+        maps = () if self.albedo_map is None else (self.albedo_map.file,)
+        return (*shape, *(one.shape for one in self.local or ()), *maps)
 
     def embedded(self) -> BodySpec:
         """Return the body with the built-in replacement of its shape file; the same body if there is none."""
         if self.shape not in STAND_INS:
             return self
         reading = {key: BodySpec.model_fields[key].default for key in ("unit", "format", "longitude")}
-        return self.model_copy(update={**reading, "shape": STAND_INS[self.shape], "albedo_map": None})
+        return self.model_copy(update={**reading, "shape": STAND_INS[self.shape], "local": None, "albedo_map": None})

@@ -246,7 +246,7 @@ class ScenarioSpec(SpecModel):
 
     @rule
     def _craters_on_a_smooth_body(self) -> None:
-        if self.craters is not None and (beside := self.body.stated("detail", "height_error", "albedo_map")):
+        if self.craters is not None and (beside := self.body.stated("detail", "height_error", "local", "albedo_map")):
             told = " and ".join(f"body.{key}" for key in beside)
             raise ValueError(f"craters are put on a smooth shape: leave out {told}")
         if self.craters is not None and self.body.shading != "flat":

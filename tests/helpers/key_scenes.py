@@ -122,6 +122,7 @@ SCENES = {
     "site": RENDERED.replace(
         "    boulders:", "    site: {direction: [0.2, 1, 0.3], radius_m: 120, edge_m: 5}\n    boulders:"
     ),
+    "local": RENDERED.replace("body:\n", "body:\n  shape: sphere\n  local: [{shape: cap.ply, blend_m: 20}]\n"),
     "mapped": RENDERED.replace("body:\n", "body:\n  albedo_map: {file: map.png, left_deg: 20, unity: 90}\n"),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
@@ -263,6 +264,9 @@ def write_scenes(folder: Path) -> None:
     places = [(latitude, longitude) for latitude in range(-90, 91, 15) for longitude in range(0, 361, 15)]
     lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    cap = trimesh.creation.icosphere(subdivisions=4, radius=290.0)
+    cap.update_faces(cap.triangles_center[:, 1] > 100.0)
+    cap.export(folder / "cap.ply")
     for name, bright in (("map", 60), ("more-map", 90)):
         cv2.imwrite(str(folder / f"{name}.png"), np.linspace(bright, 120, 200, dtype=np.uint8).reshape(10, 20))
     (folder / "camera.ti").write_text(CAMERA)
