@@ -98,7 +98,7 @@ def _terrain(mesh: TriangleMesh, local: TriangleMesh, spec: LocalSpec, where: Pa
             f"{where}: body.local: with unit {spec.unit} it is {distance_m:.4g} m from the body's origin, the surface"
             f" {radii_m.min():.4g} to {radii_m.max():.4g} m; {hint}"
         )
-    area_m2 = float(np.linalg.norm(local.area_vectors_m2, axis=1).sum())
+    area_m2 = float(local.areas_m2.sum())
     mean = local.area_vectors_m2.sum(axis=0) / area_m2
     if is_closed(local.faces) or np.linalg.norm(mean) < _LEAST_ONE_WAY:
         raise BoresightError(
@@ -131,7 +131,7 @@ class _Terrain:
 
     @property
     def up(self) -> FloatArray:
-        return self.axes[2]
+        return np.asarray(self.axes[2])
 
     @cached_property
     def edge_m(self) -> float:
