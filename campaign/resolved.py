@@ -13,15 +13,17 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TypeVar
 
 from boresight.campaign.imaging.real_images import images_digest
-from boresight.estimators.registry import bases_of, file_of, source_digest
+from boresight.estimators.registry import FILE_OPTIONS, bases_of, file_of, source_digest
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.reports.run.clusters import all_but_body
 from boresight.scenarios.bodies import body_digest
 from boresight.scenarios.craters import shape_digest
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.base import SpecModel
@@ -94,7 +96,7 @@ class ResolvedCampaign:
                 {
                     "label": e.label,
                     **_sources(e.name, e.options),
-                    "options": e.options,
+                    "options": _options(e.name, e.options),
                     "version": list(methods[e.label]),
                 }
                 for e in self.spec.estimators
@@ -142,6 +144,17 @@ def _sources(name: str, options: Mapping[str, object]) -> dict[str, object]:
     """Identify the code of an estimator of a campaign, and of the files that it builds on."""
     found = {base.key: _sources(base.name, base.options) for base in bases_of(name, options)}
     return {**_source(name), **{key: of_base for key, of_base in found.items() if len(of_base) > 1}}
+
+
+def _options(name: str, options: Mapping[str, object]) -> Mapping[str, object]:
+    """Return options with the digest of a file's content in place of its path."""
+    key = FILE_OPTIONS.get(name, "")
+    if key not in options:
+        return options
+    try:
+        return {**options, key: hashlib.sha256(Path(str(options[key])).read_bytes()).hexdigest()}
+    except OSError as error:
+        raise BoresightError(f"estimator {name}: {key}: {options[key]}: cannot be read: {error.strerror}") from error
 
 
 def _source(estimator: str) -> dict[str, object]:

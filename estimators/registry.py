@@ -185,8 +185,10 @@ SEQUENCE_ESTIMATORS: Registry[SequenceEstimator] = Registry(
     group="boresight.sequence_estimators",
     parts=("name", "version", "from_options", "follow"),
 )
-EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam"}
-"""Estimators of sequences that need an extra of the installation, and the package of the same name that it installs."""
+EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam", "crater-onnx": "onnxruntime"}
+"""Estimators that need an extra of the installation, and the package of the same name that it installs."""
+FILE_OPTIONS = {"crater-onnx": "model"}
+"""Estimators with an option that names a file, whose content decides about the rows, and that option."""
 
 sequence_estimator_names, sequence_estimator_class = SEQUENCE_ESTIMATORS.names, SEQUENCE_ESTIMATORS.find
 
@@ -195,6 +197,7 @@ DETECTORS: Registry[CraterDetector] = Registry(
         "crater-classic": "boresight.estimators.craters.detection.classic:CraterClassic",
         "crater-heat-map": "boresight.estimators.craters.learned.heat_map_detector:CraterHeatMap",
         "crater-learned": "boresight.estimators.craters.learned.detector:CraterLearned",
+        "crater-onnx": "boresight.estimators.craters.learned.onnx_detector:CraterOnnx",
     },
     group="boresight.crater_detectors",
     parts=("name", "version", "from_options", "detect"),

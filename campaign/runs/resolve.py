@@ -10,7 +10,7 @@ from typing import Any
 from boresight.campaign.resolved import ResolvedCampaign, Versions
 from boresight.campaign.runs.read import read_campaign
 from boresight.campaign.trial.kind import Trials, kind_named
-from boresight.estimators.registry import file_of, needed_sensors, with_bases
+from boresight.estimators.registry import FILE_OPTIONS, file_of, needed_sensors, with_bases
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedCampaign, LoadedScenario
 from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
@@ -64,7 +64,9 @@ def _with_whole_paths(spec: CampaignSpec, near: Path) -> CampaignSpec:
     for entry in spec.estimators:
         file = file_of(entry.name)
         whole = entry.name if file is None else f"{(near / file).absolute()}:{entry.name.rpartition(':')[2]}"
-        entries.append(entry.model_copy(update={"name": whole}))
+        key = FILE_OPTIONS.get(entry.name, "")
+        named = {key: str((near / one).absolute())} if isinstance(one := entry.options.get(key), str) else {}
+        entries.append(entry.model_copy(update={"name": whole, "options": {**entry.options, **named}}))
     return spec.model_copy(update={"estimators": tuple(entries)})
 
 

@@ -75,7 +75,7 @@ _METHODS = {
     PURPLE: "photometric consistent-ekf-slam correlation",
     GREEN: "lmaps fixed-lag vote crater-heat-map silhouette",
     VERMILION: "landmark-altimeter landmark-sift iterated-ekf-slam gtsam-isam2 invariants",
-    BROWN: "landmark-orb dynamic-smoother centroid-phase",
+    BROWN: "landmark-orb dynamic-smoother centroid-phase crater-onnx",
     VIOLET: "crater-pose centroid loop-smoother",
 }
 """The methods that have a colour unless another method of the figure has it. Controls are grey."""

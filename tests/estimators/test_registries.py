@@ -73,6 +73,6 @@ def test_each_detector_is_its_class_and_refuses_an_unknown_option(name):
     found = DETECTORS.find(name)
     assert found.name == name
     with pytest.raises(
-        BoresightError, match=rf"estimator {name}: no_such_thing: unknown key; known here are .*window_px"
+        BoresightError, match=rf"estimator {name}: no_such_thing: unknown key; known here are .*(window_px|model)"
     ):
         found.from_options({"no_such_thing": 1})
