@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -19,16 +21,19 @@ from boresight.campaign.data.crater_pictures import (
 from boresight.campaign.data.known_ground import detect_on_known_ground
 from boresight.campaign.data.label_score import LabelMatches, label_quality, score_table
 from boresight.campaign.data.named_craters import detect_real, write_real
+from boresight.estimators.craters.contract import CraterDetector
+from boresight.estimators.options import model_of
 from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.atomic import write_text
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError, printable
+from boresight.scenarios.load.merge import apply, parse_override
+from boresight.scenarios.load.yaml_text import entry_of
 
 
 def craters_command(arguments: argparse.Namespace) -> int:
     """Detect craters in a real image, and write figures and tables."""
     pictured = arguments.image is not None and arguments.image.suffix.lower() in PICTURES
-    options = OPTIONS.get(arguments.detector, {}) if pictured else {}
-    detector = crater_detector_class(arguments.detector).from_options(options)
+    detector = _detector(arguments.detector, OPTIONS.get(arguments.detector, {}) if pictured else {}, arguments.options)
     out = console()
     if arguments.columns and arguments.truth is None:
         raise BoresightError("--columns: names the columns of a table, which --truth gives")
@@ -52,9 +57,17 @@ def craters_command(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _detector(name: str, options: Mapping[str, object], given: Sequence[str]) -> CraterDetector:
+    """Build a detector of options, and of those that the command line gives as KEY=VALUE."""
+    found = crater_detector_class(name)
+    models = tuple(filter(None, [model_of(found)]))
+    layers = [parse_override(text, f"--option {printable(text)}") for text in given]
+    return found.from_options(cast("dict[str, object]", apply(entry_of(options, "options"), layers, models).plain()))
+
+
 def craters_real_command(arguments: argparse.Namespace) -> int:
     """Detect craters in each image; write tables of recall and false alarms for the Moon, Mars and rendered ground."""
-    detector = crater_detector_class(arguments.detector).from_options(OPTIONS.get(arguments.detector, {}))
+    detector = _detector(arguments.detector, OPTIONS.get(arguments.detector, {}), arguments.options)
     out = console()
     tables = []
     for ground, pictures in detect_on_known_ground(detector, arguments.set):

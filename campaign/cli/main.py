@@ -74,6 +74,10 @@ _OVERRIDES = _a(
     "--set", "override a key of every scenario, for example --set camera.fov_deg=20",
     dest="overrides", metavar="KEY=VALUE", action="append", default=[],
 )  # fmt: skip
+_OPTION = _a(
+    "--option", "option of the detector, for example --option model=moon.onnx",
+    dest="options", metavar="KEY=VALUE", action="append", default=[],
+)  # fmt: skip
 _EMBEDDED = _a(
     "--embedded", "of a campaign: take built-in bodies in place of shape files, for values without verdicts", _FLAG
 )
@@ -216,13 +220,15 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--truth", "of a picture: table of labelled boxes, circles or ellipses to score the detections against",
            _FILE, metavar="TABLE"),
         _a("--columns", "names of the columns of a TABLE without a first line, as x,y,diameter", default=""),
-        _a("--detector", "crater-classic (default), crater-heat-map, crater-learned, or one of an installed package",
-           default="crater-classic"),
+        _a("--detector", "crater-classic (default), crater-heat-map, crater-learned, crater-onnx, or one of an"
+           " installed package", default="crater-classic"),
+        _OPTION,
         _a("--out", "folder of figures and tables", _FILE, default=Path("figures/craters")),
     ),
     "craters-real": ("craters:craters_real_command", "score a detector on labelled images of the Moon and Mars",
-        _a("--detector", "crater-heat-map (default), crater-classic, crater-learned, or one of an installed package",
-           default="crater-heat-map"),
+        _a("--detector", "crater-heat-map (default), crater-classic, crater-learned, crater-onnx, or one of an"
+           " installed package", default="crater-heat-map"),
+        _OPTION,
         _a("--set", "images of the Moon: those of the report (default), or those for choices of methods",
            choices=("report", "choices"), default="report"),
         _a("--out", "folder of the table", _FILE, default=Path("figures/craters-real")),
