@@ -273,6 +273,9 @@ GOOD = {"boxes": np.zeros((1, 5, 9), np.float32)}
         ({"a": np.zeros((1, 1, 32, 32), np.float32)}, {}, "heat-map", r"outputs are \(1, 1, 32, 32\)"),
         ({"labels": np.zeros((1, 9, 6), np.int64)}, {}, "boxes-xyxy", "floating-point outputs are none"),
         ({"a": np.full((1, 1, 6), np.nan, np.float32)}, {}, "boxes-xyxy", "not finite"),
+        ({"a": np.array([[[0.4, 0.5, 0.7, 0.8, 0.9]]], np.float32)}, {}, "boxes-xyxy", "boxes are from 0 to 1"),
+        # YOLOv5 with one class: centre, size, objectness, class.
+        ({"a": np.array([[[40, 50, 10, 12, 0.9, 0.9]]], np.float32)}, {}, "boxes-xyxy", "or end before they begin"),
     ],
 )
 def test_a_network_of_another_kind_is_refused_in_one_line(tmp_path, runtime, outputs, how, output, said):

@@ -82,7 +82,8 @@ class CraterOnnx:
     -------------
     The image is black, uniform, saturated or not finite, scores are not from 0 to 1, or an operator fails. It ignores
     the Sun. Of boxes, craters wider than the overlap of tiles can be lost at a seam. In heat maps, areas that touch are
-    one, and rims with gaps are missed.
+    one, and rims with gaps are missed. Methods that name a detector without its options, such as ``crater-pose`` and
+    the matchers, cannot use it.
 
     Cost
     ----
@@ -188,6 +189,9 @@ class CraterOnnx:
                 f"{o.model}: scores are not from 0 to 1, or not finite: set sigmoid if they are logits"
             )
         score[:] = np.clip(score, 0.0, 1.0)
+        sure = found[score >= o.score_min] if o.output != "heat-map" else np.zeros((0, 5))
+        if len(sure) and (sure[:, :4].max() <= 1.5 or np.mean(sure[:, 2] < sure[:, 0]) > 0.5):
+            raise BoresightError(f"{o.model}: output: {o.output}: boxes are from 0 to 1, or end before they begin")
         return found
 
 
