@@ -204,6 +204,12 @@ DETECTORS: Registry[CraterDetector] = Registry(
 )
 crater_detector_names, crater_detector_class = DETECTORS.names, DETECTORS.find
 
+
+def named_detector_versions() -> list[int]:
+    """Return the versions of the detectors of craters that a name alone makes, without a file."""
+    return [crater_detector_class(name).version for name in crater_detector_names() if name not in FILE_OPTIONS]
+
+
 MATCHERS: Registry[CraterMatcher] = Registry(
     own={
         "context": "boresight.estimators.craters.matching.context:ContextMatcher",

@@ -15,7 +15,7 @@ from boresight.estimators.craters.database.build import build_database, triangul
 from boresight.estimators.craters.database.files import CraterDatabase
 from boresight.estimators.craters.matching.preliminary import PreliminaryOptions
 from boresight.estimators.craters.pose import CraterDatabaseOptions
-from boresight.estimators.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from boresight.estimators.registry import crater_detector_class, crater_matcher_class, named_detector_versions
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Frame
@@ -80,8 +80,7 @@ def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most
 
 
 def _versions() -> list[int]:
-    detectors = [crater_detector_class(name).version for name in crater_detector_names()]
-    return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
+    return [VERSION, crater_matcher_class(_MATCHER).version, *named_detector_versions()]
 
 
 PRODUCTS = {

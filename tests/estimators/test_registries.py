@@ -68,6 +68,11 @@ def test_an_unknown_name_is_told_what_there_is(group):
         found.find(wrong)
 
 
+def test_a_detector_by_a_file_leaves_the_versions_of_databases_and_chains_as_they_are():
+    named = ("crater-classic", "crater-heat-map", "crater-learned")
+    assert registry.named_detector_versions() == [DETECTORS.find(name).version for name in named]
+
+
 @pytest.mark.parametrize("name", DETECTORS.names())
 def test_each_detector_is_its_class_and_refuses_an_unknown_option(name):
     found = DETECTORS.find(name)

@@ -40,12 +40,7 @@ from boresight.estimators.craters.navigation.rounds import (
 )
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
-from boresight.estimators.registry import (
-    crater_detector_class,
-    crater_detector_names,
-    crater_matcher_class,
-    crater_matcher_names,
-)
+from boresight.estimators.registry import crater_matcher_class, crater_matcher_names, named_detector_versions
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.dynamics.propagation import OrbitLostError
@@ -95,9 +90,8 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationTrial, Nav
     @classmethod
     def method_version(cls, name: str) -> int:
         """Return the version of the chain: the sum of those of its parts, which only rise."""
-        detectors = [crater_detector_class(one).version for one in crater_detector_names()]
         matchers = [crater_matcher_class(one).version for one in crater_matcher_names()]
-        return cls.method_class(name).version + BatchFilter.version + sum(detectors) + sum(matchers)
+        return cls.method_class(name).version + BatchFilter.version + sum(named_detector_versions()) + sum(matchers)
 
     @classmethod
     def options_model(cls, name: str) -> None:

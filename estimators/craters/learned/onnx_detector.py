@@ -61,18 +61,14 @@ class OnnxOptions(SpecModel):
 class CraterOnnx:
     """Finds craters by any network in an ONNX file that returns boxes or a heat map.
 
-    It needs the extra ``onnxruntime``. The network has one float32 input, (1, C, H, W), (1, H, W, C) or (C, H, W),
-    with one or three (equal) channels. Outputs are in pixels of that input; those of integers are not read:
+    It needs the extra ``onnxruntime``. The input is one float32 tensor, (1, C, H, W), (1, H, W, C) or (C, H, W), of one
+    channel or three equal ones. ``boxes-cxcywh`` is (1, 4 + classes, N), as of YOLOv8 and YOLO11; ``boxes-xyxy`` is
+    (1, N, 6) or (1, N, 5) with the score behind the corners, or boxes (N, 4) and scores (N,), as of torchvision;
+    ``heat-map`` is (H, W), with or without axes of 1, of craters' areas or closed rims. All are in pixels of the input.
 
-    - ``boxes-cxcywh``: (1, 4 + classes, N), as Ultralytics exports YOLOv8 and YOLO11;
-    - ``boxes-xyxy``: (1, N, 6) with score and class, as Ultralytics exports with ``nms=True`` and YOLO26; (1, N, 5), as
-      MMDeploy; boxes (N, 4) and scores (N,), as torchvision;
-    - ``heat-map``: (H, W), with or without axes of 1, of craters' areas or of closed rims.
-
-    The score is that of the best class; a box becomes the ellipse that touches its sides. In a heat map from
-    ``score_min`` on, an area becomes the ellipse of its moments, a ring that around its middle line, and the score is
-    the mean value. Boxes that overlap one of a higher score are dropped, as by torchvision's ``nms``. Weights are in
-    the file itself; the digest of a run covers it.
+    A box becomes the ellipse that touches its sides, with the score of its best class; of boxes that overlap, the best
+    is kept. In a heat map from ``score_min`` on, an area becomes the ellipse of its moments, a ring that around its
+    middle line, with the mean value as score. The digest of a run covers the file, which holds all weights.
 
     Use it when
     -----------
