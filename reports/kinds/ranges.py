@@ -28,17 +28,14 @@ _LOG_RANGE, _LOG_ERROR = 10.0, 30.0
 
 def range_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the measures with a required limit, or else the position error, over the range, by scenario."""
-    limits: dict[tuple[str, str], list[tuple[str, float]]] = {}
-    for requirement, scenario, estimator, _ in required_values(run):
-        if requirement.limit is not None:
-            limits.setdefault((requirement.measure, scenario), []).append((estimator, requirement.limit))
+    limits = [(one.measure, scene, label, one.limit) for one, scene, label, _ in required_values(run) if one.limit]
     known = trial_numbers(run)
-    for name in [one for one in dict.fromkeys(one for one, _ in limits) if one in known] or POSE_COLUMNS[:1]:
+    for name in [one for one in dict.fromkeys(one[0] for one in limits) if one in known] or POSE_COLUMNS[:1]:
         trials = tabulate_trials([run], metric := measure_of(name), (ESTIMATOR, SCENARIO))
         for scenario in map(str, trials[SCENARIO].unique()):
-            own, here = trials[trials[SCENARIO] == scenario], limits.get((name, scenario), [])
-            far_m = own["range_m"].max()
-            if not far_m > _VARIES * own["range_m"].min() or own["value"].isna().all():
+            own = trials[trials[SCENARIO] == scenario]
+            here = [(label, limit) for measure, scene, label, limit in limits if (measure, scene) == (name, scenario)]
+            if not (far_m := own["range_m"].max()) > _VARIES * own["range_m"].min() or own["value"].isna().all():
                 continue
             unit, metres = ("km", 1e3) if far_m > _FAR_M else ("m", 1.0)
             own = own.assign(over=own["range_m"] / metres)
@@ -72,14 +69,13 @@ def _draw(
             axes.plot(prior["over"], prior["value"], ".", color=GREY, alpha=0.4, markersize=3, label="prior")
         colour, failed = styles[label].colour, table.loc[table["value"].isna(), "over"]
         axes.plot(table["over"], table["value"], ".", color=colour, alpha=0.5, markersize=5, label="a trial")
-        at_top = {"transform": axes.get_xaxis_transform(), "label": "no estimate"}
-        axes.plot(failed, 0.97 + 0.0 * failed, "x", color="0.1", markersize=5, **at_top)
+        axes.plot(failed, 0.97 + 0.0 * failed, "kx", ms=5, transform=axes.get_xaxis_transform(), label="no estimate")
         if label in medians:
             draw_points(axes, medians[label], styles[label], markersize=6, markeredgecolor="0.1", label="median")
         for limit in (limit for estimator, limit in limits if estimator == label):
             axes.axhline(limit, color="0.1", linewidth=1.0, linestyle="--", label="required")
-        axes.set(title=f"{label}: solved {len(table) - len(failed)}/{len(table)}", xlabel=words[1])
-        axes.set_ylim(0.0, 1.15 * highest)
+        solved = f"{label}: solved {table['value'].count()}/{len(table)}"
+        axes.set(title=solved, xlabel=words[1], ylim=(0.0, 1.15 * highest))
         if whole["over"].max() > _LOG_RANGE * whole["over"].min() > 0.0:
             axes.set_xscale("log")
             mark_decades(axes.xaxis)
@@ -88,6 +84,5 @@ def _draw(
             mark_decades(axes.yaxis)
     for axes in places.ravel()[len(shown) :]:
         axes.set_visible(False)
-    for row in places:
-        row[0].set_ylabel(fill(words[2], 32))
+    figure.supylabel(fill(words[2], 40), fontsize=9.0)
     return finish(figure, words[0], credit, legend=places[0, 0], columns=5)

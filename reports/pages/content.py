@@ -142,10 +142,9 @@ def beside_published(
 
 
 def estimator_results(run: RunData) -> tuple[Measure, list[Subject]]:
-    """Measure the median of each estimator over all scenarios, by the usual metric of the kind of trial.
+    """Measure the median of each estimator over all scenarios, by the one measure with a required limit or the usual.
 
-    Where requirements set a limit on one measure alone, it is that measure. Raises `BoresightError` if the trials have
-    no number to go by.
+    Raises `BoresightError` if the trials have no number to go by.
     """
     asked = {read_requirement(one.that, run.manifest.experiment) for one in run.manifest.requirements}
     limited = {one.measure for one in asked if one.limit is not None} & trial_numbers(run).keys()

@@ -56,11 +56,8 @@ class Document:
         led = len(figures) - len(self.figures)
         title = re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(self.title.split()))
         parts = [f"# {title}", _bullets(f"{name}: {value}" for name, value in self.facts)]
-        lists, closing = (
-            [f"## {title}\n\n{_bullets(lines)}" for title, lines in several if lines]
-            for several in (self.lists, self.closing)
-        )
-        parts += [*lists, *tables[:1], *figures[:led], *tables[1:], *figures[led:], *closing]
+        first, last = ([_section(*one) for one in lists if one[1]] for lists in (self.lists, self.closing))
+        parts += [*first, *tables[:1], *figures[:led], *tables[1:], *figures[led:], *last]
         parts += [f"To make this again: `{self.command}`"] if self.command else []
         return "\n\n".join(part for part in (*parts, *self.credits) if part) + "\n"
 
@@ -80,6 +77,10 @@ def write_document(
     text = fill_template(template, document=document, figures=embed_figures(drawn), js=template_text("page.js"))
     write_text(folder / page, text)
     return folder / page
+
+
+def _section(title: str, lines: Iterable[str]) -> str:
+    return f"## {title}\n\n{_bullets(lines)}"
 
 
 def _bullets(lines: Iterable[str]) -> str:

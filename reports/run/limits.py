@@ -28,10 +28,8 @@ def single_draws(run: RunData) -> str:
     # The orbit of an approach needs no craters, and the a priori shape is that of the gravity alone.
     specs = [] if run.manifest.experiment == "approach-orbit" else run.manifest.scenarios.values()
     shapes = [value_at(spec, "orbit.knowledge.shape_degree") for spec in specs]
-    found = [
-        _one_of("a priori shape", shapes),
-        _one_of("trajectory", [value_at(s, "viewpoint.trajectory") for s in specs]),
-    ]
+    paths = [value_at(spec, "viewpoint.trajectory") for spec in specs]
+    found = [_one_of("a priori shape", shapes), _one_of("trajectory", paths)]
     if run.databases <= 1:
         craters = [next(filter(None, (value_at(spec, key) for key in _CRATERS)), None) for spec in specs]
         found = [_one_of("world of craters", craters), "one data base" if run.manifest.products else "", *found]
