@@ -102,7 +102,7 @@ class SiteSpec(SpecModel):
 class DetailSpec(SpecModel):
     """Subdivision of a coarse shape with added relief; the same seed gives the same body."""
 
-    facets: int = Field(ge=4, le=13_000_000, description="At least this many facets, and less than four times as many")
+    facets: int = Field(ge=4, le=20_000_000, description="At least this many facets, and less than four times as many")
     seed: int = Field(0, ge=0, description="Seed of all relief and albedo of this section")
     boulders: BoulderSpec | None = None
     craters: CraterSpec | None = None

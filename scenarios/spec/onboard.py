@@ -24,7 +24,7 @@ class DeclaredSpec(SpecModel):
     """Errors that a mission declares its onboard model to have; what is left out is taken as exact."""
 
     brdf: BrdfSpec | None = Field(None, description="A reflectance that the surface may have in place of that on board")
-    facets: int | None = Field(None, ge=4, le=13_000_000, description="Facets of a rehearsed body's detail")
+    facets: int | None = Field(None, ge=4, le=20_000_000, description="Facets of a rehearsed body's detail")
     relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
@@ -40,7 +40,7 @@ class OnboardSpec(SpecModel):
     brdf: BrdfSpec | None = Field(None, description="Reflectance that the spacecraft believes in")
     body: BodySpec | None = Field(None, description="Another shape altogether, in the same frame")
     facets: int | None = Field(
-        None, ge=4, le=13_000_000, description="Resolution of the shape: facets of the body's detail stage"
+        None, ge=4, le=20_000_000, description="Resolution of the shape: facets of the body's detail stage"
     )
     relief: RedrawnSpec | None = optional("Small relief that nobody has seen: other boulders, craters and roughness")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
