@@ -31,6 +31,7 @@ _LEAST_ONE_WAY = 0.5  # length of the mean of the facets' normals: that of a hem
 # Between a normal and the side from which the local shape is seen: the far side of the body is below it, overhangs of
 # the near side are not.
 _LEAST_FACING = -0.5
+_MOST_FOLDED = 0.001  # of the surface
 _BLEND = 0.1  # of the width, where blend_m is left out
 _MOST_FACETS = 13_000_000
 _PER_EDGE = 8  # points in the mean length of an edge, to which distances from the rim are measured
@@ -45,7 +46,7 @@ def with_local(
     the mean of its normals. Vertices move along that direction, by the whole way where they are ``spec.blend_m`` or
     more within its edge, by less towards the edge, and not at all at the edge and in its holes. The mesh stays closed,
     and facets that are not divided stay as they are. Raise BoresightError, which names the file ``where``, if the local
-    shape is closed, has no side, or does not lie along the body's surface.
+    shape is closed, has no side, or does not lie along the body's surface, or that one overhangs.
     """
     terrain = _terrain(mesh, TriangleMesh(vertices_m, faces.astype(np.int32)), spec, where)
     edge_m, farthest_m = spec.edge_m or terrain.edge_m, _FARTHEST * terrain.width_m
@@ -70,6 +71,11 @@ def with_local(
             f" its width of {terrain.width_m:.3g} m; check its frame"
         )
     near, rises_m = near[np.abs(rises_m) <= farthest_m], rises_m[np.abs(rises_m) <= farthest_m]
+    if (folded := _folded(points_m, fine_faces, near, terrain.up)) > _MOST_FOLDED:
+        raise BoresightError(
+            f"{where}: body.local: {100.0 * folded:.2g} % of the body's surface below it overhangs, seen along the mean"
+            " of its normals; cut it into smaller ones"
+        )
     within_m, blend_m = terrain.from_rim_m(points_m[near]), spec.blend_m or _BLEND * terrain.width_m
     if within_m.max() < blend_m:
         raise BoresightError(
@@ -83,6 +89,18 @@ def with_local(
         f" {np.median(above_m):.3g} m (median)"
     )
     return TriangleMesh(moved_m, fine_faces.astype(np.int32), None if mesh.albedo is None else fine[:, 3]), note
+
+
+def _folded(points_m: FloatArray, faces: IndexArray, moved: IndexArray, up: FloatArray) -> float:
+    """Return the area of facets that face away from ``up`` over that of the others, of those all of whose corners move.
+
+    Seen along ``up``, which is how the corners move: these facets would lie in folds under the others.
+    """
+    moves = np.zeros(len(points_m), dtype=bool)
+    moves[moved] = True
+    a, b, c = np.moveaxis(points_m[faces[moves[faces].all(axis=1)]], 1, 0)
+    area_m2 = np.einsum("fi,i->f", np.cross(b - a, c - a), up)
+    return float(-area_m2[area_m2 < 0.0].sum() / max(area_m2[area_m2 > 0.0].sum(), np.finfo(float).tiny))
 
 
 def _terrain(mesh: TriangleMesh, local: TriangleMesh, spec: LocalSpec, where: Path) -> _Terrain:
@@ -131,7 +149,8 @@ class _Terrain:
 
     @property
     def up(self) -> FloatArray:
-        return np.asarray(self.axes[2])
+        up: FloatArray = self.axes[2]
+        return up
 
     @cached_property
     def edge_m(self) -> float:

@@ -1,10 +1,11 @@
-"""A local shape over a global one, against analytic surfaces and trimesh."""
+"""A local shape over a global one, against analytic surfaces, rays by brute force and trimesh."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
+from facet_rays import crossings
 from scipy.spatial import Delaunay
 
 from boresight.scenarios.bodies import body_digest, load_body
@@ -80,13 +81,11 @@ def test_heights_are_those_of_the_analytic_surface(folder):
     chord_m = 0.25 * EDGE_M**2 * (1.0 / RADIUS_M + 0.4 / 16.0)
     error_m = z[inside] - heights(x[inside], y[inside])
     assert np.abs(error_m).max() < chord_m
-    # On the facets of the site themselves, by trimesh's rays, to far less.
-    chosen = np.flatnonzero(inside)[::97]
-    rays = np.tile(-UP, (len(chosen), 1))
+    # On the facets of the site themselves, to far less.
     part = trimesh.load(folder / "site.ply", process=False)
-    places, ray, _ = part.ray.intersects_location(mesh.vertices_m[chosen] + 5.0 * UP, rays, multiple_hits=False)
-    assert len(np.unique(ray)) == len(chosen)
-    np.testing.assert_allclose(places @ UP, z[chosen][ray], atol=1e-3 * EDGE_M)
+    for point in np.asarray(mesh.vertices_m)[inside][::97]:
+        down_m = crossings(part.triangles, point + 5.0 * UP, -UP)
+        np.testing.assert_allclose(down_m, [5.0], atol=1e-3 * EDGE_M)
     assert "site.ply:" in loaded.notes[-1]
 
 
@@ -129,11 +128,8 @@ def test_no_point_of_the_sky_sees_two_surfaces(folder):
     """Rays down onto the site meet one facet each."""
     mesh = load(body(), folder).mesh
     facets = np.linalg.norm(mesh.corners_m.mean(axis=1) - RADIUS_M * UP, axis=1) < 40.0
-    part = trimesh.Trimesh(mesh.vertices_m, np.asarray(mesh.faces)[facets], process=False)
-    spots = np.random.default_rng(1).uniform(-24.0, 24.0, (150, 2))
-    origins = spots @ ACROSS + 150.0 * UP
-    _, ray, _ = part.ray.intersects_location(origins, np.tile(-UP, (len(spots), 1)))
-    np.testing.assert_array_equal(np.bincount(ray, minlength=len(spots)), 1)
+    for spot in np.random.default_rng(1).uniform(-24.0, 24.0, (150, 2)):
+        assert len(crossings(mesh.corners_m[facets], spot @ ACROSS + 150.0 * UP, -UP)) == 1
 
 
 def test_a_site_wound_inward_with_holes_over_a_detailed_body_is_as_good(folder):
@@ -200,6 +196,15 @@ def test_a_site_at_another_place_is_refused(folder, moved, words):
     vertices, faces = site()
     write(folder / "site.ply", moved(vertices), outward(vertices, faces))
     with pytest.raises(BoresightError, match=rf"site\.ply: body\.local: .*{words}"):
+        load(body(), folder)
+
+
+def test_a_body_that_overhangs_below_it_is_refused(folder):
+    """A hill of 12 m that leans over by three times its height."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS_M)
+    hill_m = 12.0 * np.clip(1.0 - np.linalg.norm(ball.vertices - RADIUS_M * UP, axis=1) / 12.0, 0.0, 1.0)
+    write(folder / "ball.ply", ball.vertices + np.outer(hill_m, UP + 3.0 * ACROSS[0]), ball.faces)
+    with pytest.raises(BoresightError, match=r"site\.ply: body\.local: .* % of the body's surface below it overhangs"):
         load(body(), folder)
 
 
