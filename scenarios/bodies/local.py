@@ -11,6 +11,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.bodies.topology import (
+    IntArray,
     find_edges,
     is_closed,
     refine_where,
@@ -91,7 +92,7 @@ def with_local(
     return TriangleMesh(moved_m, fine_faces.astype(np.int32), None if mesh.albedo is None else fine[:, 3]), note
 
 
-def _folded(points_m: FloatArray, faces: IndexArray, moved: IndexArray, up: FloatArray) -> float:
+def _folded(points_m: FloatArray, faces: IntArray, moved: IndexArray, up: FloatArray) -> float:
     """Return the area of facets that face away from ``up`` over that of the others, of those all of whose corners move.
 
     Seen along ``up``, which is how the corners move: these facets would lie in folds under the others.
