@@ -265,7 +265,7 @@ def write_scenes(folder: Path) -> None:
     lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
     cap = trimesh.creation.icosphere(subdivisions=4, radius=290.0)
-    cap.update_faces(cap.triangles_center[:, 1] > 100.0)
+    cap.update_faces(cap.triangles_center[:, 1] > 200.0)
     cap.export(folder / "cap.ply")
     for name, bright in (("map", 60), ("more-map", 90)):
         cv2.imwrite(str(folder / f"{name}.png"), np.linspace(bright, 120, 200, dtype=np.uint8).reshape(10, 20))
