@@ -34,7 +34,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "body.longitude": ("grid", "west"),
     "body.even_facets": ("ball", "2000"),
     "body.albedo_map.file": (None, "more-map.png"),
-    "body.local": (None, "[{shape: cap.ply, blend_m: 60}]"),
+    "body.local": ("local", "[{shape: cap.ply, blend_m: 60}]"),
     "body.detail.facets": (None, "40000"),
     "body.detail.site.direction": (None, "[0, 1, 0]"),
     "camera.distortion.opencv": ("lens", "[-0.3, 0.1, 0.01, 0]"),
