@@ -18,6 +18,10 @@ _LEAST_PIXELS = 3
 _MARGIN_PX = 5
 _STAR_PX = 7  # side of a group that may be a star
 _SKY_ROWS = 128
+BODY_SHARE = 0.2
+"""Of the bright level of a body: dust before the sky of 67P has up to a tenth."""
+# Of the predicted lit area: errors of the shape, and shadows of relief, which only darken.
+_MOST_LIT, _LEAST_LIT = 2.0, 0.25
 # Sides of a rendered body, px: below it is rendered enlarged, and pixels are means of what is rendered.
 RENDERED_PX, _MOST_ENLARGED = 96, 32
 
@@ -74,16 +78,21 @@ class LitBody:
         return replace(self, lit=self.patch.image > floor, floor=floor)
 
 
-def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str:
+def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, blur_px: float) -> LitBody | str:
     """Find the lit body in an image, or return the reason why there is none.
 
-    It is the largest group of neighbouring pixels, three at least, brighter than five standard deviations of the sky
-    and than a fiftieth of the image's bright level, with all such groups within ``diameter_px`` of its middle: shadows
-    divide a body. A group that does not fit with the larger ones into one circle is of another body; the circle is
-    ``diameter_px`` wide, and wider by two standard deviations of the range, or as wide as that of the largest group.
+    It is the group of neighbouring pixels, three at least, brighter than five standard deviations of the sky and than a
+    fiftieth of the image's bright level, whose area is nearest by ratio to the predicted one: ``lit_px`` grown all
+    around by half a pixel and by two standard deviations ``blur_px`` of the point spread, where an edge falls to a
+    fiftieth. All such groups within ``diameter_px`` of its middle that are not larger belong to it: shadows divide a
+    body. A group that does not fit with the larger ones into one circle is of another body; the circle is
+    ``diameter_px`` wide, and wider by two standard deviations of the range, or as wide as that of the first group.
     Small groups beyond half of ``diameter_px`` are taken for stars. Groups within five standard deviations of where the
-    prior has the body come first: stars may be larger than a small body. Raise BoresightError if the image does not
-    have the camera's size.
+    prior has the body come first: stars may be larger than a small body.
+
+    What is found is another body if its bright part is more than twice the predicted area, or if it is less than a
+    quarter of ``lit_px`` and the frame does not cut it, by more than five standard deviations of the range. Raise
+    BoresightError if the image does not have the camera's size.
     """
     if fault := unusable(frame, camera):
         return fault
@@ -105,23 +114,34 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float) -> LitBody | str
         return f"the image shows no body: no {_LEAST_PIXELS} neighbouring pixels are brighter than the sky"
     expected_px, reach_px = _expected(frame, camera)
     near_prior = np.linalg.norm(middles - (expected_px - [left, top]), axis=1) <= reach_px + diameter_px
-    preferred = np.where(near_prior & (areas >= _LEAST_PIXELS), areas, 0)
-    largest = int((preferred if preferred.any() else areas).argmax())
-    apart_px = np.linalg.norm(middles - middles[largest], axis=1)
+    sizes = np.where(areas >= _LEAST_PIXELS, areas, 1e-9)
+    preferred = np.where(near_prior, sizes, 1e-9)
+    edge_px = 2.0 * blur_px + 0.5
+    seen_px = lit_px + np.pi * edge_px * (diameter_px + edge_px)
+    ratio = (preferred if preferred.max() > 1.0 else sizes) / seen_px
+    first = int(np.abs(np.log(ratio)).argmin())
+    apart_px = np.linalg.norm(middles - middles[first], axis=1)
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     star = (sides <= _STAR_PX) & (apart_px > 0.5 * diameter_px)
-    kept = (areas >= _LEAST_PIXELS) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
-    kept &= of_one_body(labels, stats[:, :4], np.where(kept, areas, 0), diameter_px * (1.0 + _range_error(frame)))
-    first, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
+    kept = (areas >= _LEAST_PIXELS) & (areas <= areas[first]) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
+    sigma = _range_sigma(frame)
+    kept &= of_one_body(labels, stats[:, :4], np.where(kept, areas, 0), diameter_px * (1.0 + 2.0 * sigma))
+    corner, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
     whole = np.array([camera.width_px, camera.height_px])
-    low, high = first.min(axis=0), (first + size).max(axis=0)
+    low, high = corner.min(axis=0), (corner + size).max(axis=0)
     cut = bool((low <= 0).any() or (high >= whole).any())
     low, high = np.maximum(low - _MARGIN_PX, 0), np.minimum(high + _MARGIN_PX, whole)
     box = slice(low[1], high[1]), slice(low[0], high[0])
     chosen = Patch(kept[labels].astype(np.float64), left, top)
     patch = Patch(image[box].astype(np.float64) - level, int(low[0]), int(low[1]))
     lit = chosen.cut(patch) > 0.0
-    return LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
+    body = LitBody(replace(patch, image=near(patch.image, lit)), lit, floor, noise, cut)
+    scale = (1.0 + _SIGMAS * sigma) ** 2
+    if (found_px := np.count_nonzero(body.brighter(BODY_SHARE).lit)) > (most_px := _MOST_LIT * scale * seen_px):
+        return f"what is lit covers {found_px} px, but the body at most {most_px:.0f} px: it is another one, or two"
+    if not cut and (found_px := np.count_nonzero(lit)) < (least_px := _LEAST_LIT / scale * lit_px):
+        return f"what is lit covers {found_px} px, but the body at least {least_px:.0f} px: it is another one"
+    return body
 
 
 def of_one_body(labels: IndexArray, boxes: IndexArray, areas: IndexArray, diameter_px: float) -> BoolArray:
@@ -160,12 +180,12 @@ def _expected(frame: Frame, camera: Camera) -> tuple[FloatArray, float]:
     return camera.project(translation_m), _SIGMAS * float(np.sqrt(np.trace(covariance_px2)))
 
 
-def _range_error(frame: Frame) -> float:
-    """Two standard deviations of the range of the prior, as a share of it: by so much the body may be larger."""
+def _range_sigma(frame: Frame) -> float:
+    """Return the standard deviation of the range of the prior, as a share of it."""
     translation_m = frame.prior_T_cam_body.translation_m
     range_m = float(np.linalg.norm(translation_m))
     sight = translation_m / range_m
-    return 2.0 * float(np.sqrt(sight @ frame.prior_covariance[3:, 3:] @ sight)) / range_m
+    return float(np.sqrt(sight @ frame.prior_covariance[3:, 3:] @ sight)) / range_m
 
 
 def near(image: FloatArray, lit: BoolArray) -> FloatArray:
@@ -196,16 +216,30 @@ def sphere_px(radius_m: float, T_cam_body: Pose, camera: Camera) -> float:
     return 2.0 * radius_m / max(range_m, radius_m) / camera.pixel_angle_rad
 
 
+def lit_area_px(area_vectors_m2: FloatArray, T_cam_body: Pose, sun_dir_cam: FloatArray, camera: Camera) -> float:
+    """Return the area, px, of the facets (F, 3) of a closed mesh that are lit and face the camera.
+
+    Exact for a convex body far away; of others what is shadowed or hidden is counted too.
+    """
+    camera_m = T_cam_body.camera_position_m
+    range_m = float(np.linalg.norm(camera_m))
+    across_m2 = area_vectors_m2 @ (camera_m / range_m)
+    lit = (across_m2 > 0.0) & (area_vectors_m2 @ (T_cam_body.rotation.T @ sun_dir_cam) > 0.0)
+    return float(across_m2[lit].sum()) / (range_m * camera.pixel_angle_rad) ** 2
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyView:
     """Renderings of a body in windows of the image, by its distance from the camera.
 
-    ``radius_m`` is the radius of a sphere about the origin that holds the body, ``sun_dir_cam`` (3,) is in camera axes,
-    and ``blur_px`` the standard deviation of the point spread function.
+    ``radius_m`` is the radius of a sphere about the origin that holds the body, ``area_vectors_m2`` (F, 3) are those of
+    its facets, ``sun_dir_cam`` (3,) is in camera axes, and ``blur_px`` the standard deviation of the point spread
+    function.
     """
 
     renderer: ImageRenderer
     radius_m: float
+    area_vectors_m2: FloatArray
     camera: Camera
     sun_dir_cam: FloatArray
     blur_px: float
@@ -213,6 +247,12 @@ class BodyView:
     def diameter_px(self, T_cam_body: Pose) -> float:
         """Diameter of the sphere in the image, px."""
         return sphere_px(self.radius_m, T_cam_body, self.camera)
+
+    def find_body(self, frame: Frame) -> LitBody | str:
+        """Find the body in an image of the camera; see `find_body`."""
+        prior = frame.prior_T_cam_body
+        lit = lit_area_px(self.area_vectors_m2, prior, self.sun_dir_cam, self.camera)
+        return find_body(frame, self.camera, self.diameter_px(prior), lit, self.blur_px)
 
     def render(self, T_cam_body: Pose) -> Patch | None:
         """Render the body in a window that has all of it; None if it is dark or behind the camera.

@@ -13,6 +13,7 @@ from boresight.estimators.contract import Assets, Estimate, ImageRenderer
 from boresight.estimators.landmark.recognizer import ShapeOptions, rendered_mesh
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
@@ -49,19 +50,19 @@ class CentroidEstimator:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
-    def __init__(self, renderer: ImageRenderer, radius_m: float, options: CentroidOptions) -> None:
-        self._renderer, self._radius_m, self._options = renderer, radius_m, options
+    def __init__(self, renderer: ImageRenderer, mesh: TriangleMesh, options: CentroidOptions) -> None:
+        self._body, self._options = (renderer, mesh.radius_m, mesh.area_vectors_m2), options
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape or the landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
         mesh = rendered_mesh(parsed, assets, cls.name)
-        return cls(assets.mesh_renderer(mesh), mesh.radius_m, parsed)
+        return cls(assets.mesh_renderer(mesh), mesh, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose by shifting the prior.
@@ -73,7 +74,7 @@ class CentroidEstimator:
         """
         del rng
         options, frame = self._options, observation.frame
-        view = BodyView(self._renderer, self._radius_m, observation.camera, frame.sun_dir_cam, options.blur_px)
+        view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
         return estimate_sight(observation, view, CENTROID, options.alignment_loop)
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from boresight.estimators.approach.body import LitBody, find_body, row_ends, sphere_px
+from boresight.estimators.approach.body import BODY_SHARE, LitBody, find_body, lit_area_px, row_ends, sphere_px
 from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
@@ -32,7 +32,6 @@ _HUBER = 1.5
 _SIGMAS = 3.0  # of the prior's error, in which the limb is searched
 _ARCS = 12
 _LIT_PX = 1.0
-_LIMB_SHARE = 0.2  # of the bright level: dust before the sky of 67P has up to a tenth
 _POINT_PX = 0.12
 """Standard deviation of a point in predictions: the mean RMS residual of 30 images of a body 130 px across."""
 
@@ -131,13 +130,13 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:
         self._outline, self._ellipsoid, self._radius_m = ShapeOutline(mesh), Ellipsoid.of(mesh), mesh.radius_m
-        self._options = options
+        self._area_vectors_m2, self._options = mesh.area_vectors_m2, options
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
@@ -156,10 +155,11 @@ class LimbEstimator:
         prior = frame.prior_T_cam_body
         with clock("limb"):
             size_px = sphere_px(self._radius_m, prior, camera)
-            body = find_body(frame, camera, size_px)
+            lit = lit_area_px(self._area_vectors_m2, prior, frame.sun_dir_cam, camera)
+            body = find_body(frame, camera, size_px, lit, self._options.blur_px)
             if isinstance(body, str):
                 return Estimate("failed", body, timings_s=clock.seconds)
-            body = body.brighter(_LIMB_SHARE)
+            body = body.brighter(BODY_SHARE)
             count = _ray_count(size_px)
             scene = _Scene(frame, camera, ray_directions(count), self._outline.silhouette(prior), body)
             begun = self._search(scene) if body.cut else self._scan(scene, self._place(scene))

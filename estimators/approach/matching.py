@@ -13,6 +13,7 @@ from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.sight import Sighting, SightOptions, estimate_sight
 from boresight.estimators.contract import Assets, Estimate, ImageRenderer
 from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
@@ -42,19 +43,21 @@ class SilhouetteEstimator:
     """
 
     name: ClassVar[str] = "silhouette"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
-    def __init__(self, renderer: ImageRenderer, radius_m: float, options: SightOptions, misfit_m: float = 0.0) -> None:
-        self._renderer, self._radius_m, self._options = renderer, radius_m, options
+    def __init__(
+        self, renderer: ImageRenderer, mesh: TriangleMesh, radius_m: float, options: SightOptions, misfit_m: float = 0.0
+    ) -> None:
+        self._body, self._options = (renderer, radius_m, mesh.area_vectors_m2), options
         self._sighting = Sighting("alignment", correlation_shift, correlation_weights, misfit_m)
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
-        return cls(assets.mesh_renderer(mesh), mesh.radius_m, parsed)
+        return cls(assets.mesh_renderer(mesh), mesh, mesh.radius_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose by shifting the prior; ``rng`` is not used.
@@ -63,7 +66,7 @@ class SilhouetteEstimator:
         """
         del rng
         options, frame = self._options, observation.frame
-        view = BodyView(self._renderer, self._radius_m, observation.camera, frame.sun_dir_cam, options.blur_px)
+        view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
         return estimate_sight(observation, view, self._sighting, options.alignment_loop)
 
 
@@ -101,4 +104,4 @@ class LambertCorrelation(SilhouetteEstimator):
         """Build from a campaign's options and the axes of the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
         ellipsoid = Ellipsoid.of(mesh)
-        return cls(ellipsoid, ellipsoid.radius_m, parsed, ellipsoid.misfit_m(mesh))
+        return cls(ellipsoid, mesh, ellipsoid.radius_m, parsed, ellipsoid.misfit_m(mesh))

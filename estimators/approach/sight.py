@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from boresight.estimators.approach.body import RENDERED_PX, BodyView, LitBody, Patch, find_body, near
+from boresight.estimators.approach.body import RENDERED_PX, BodyView, LitBody, Patch, near
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.contract import Estimate, Stage, Stopwatch
 from boresight.estimators.dense.gauss_newton import reduced_camera
@@ -66,7 +66,7 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     frame, camera, clock = observation.frame, observation.camera, Stopwatch()
     prior = frame.prior_T_cam_body
     with clock(how.name):
-        body = find_body(frame, camera, view.diameter_px(prior))
+        body = view.find_body(frame)
     if isinstance(body, str):
         return Estimate("failed", body, timings_s=clock.seconds)
     told: dict[str, float | int | str] = {

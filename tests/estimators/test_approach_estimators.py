@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from boresight.estimators.approach.body import BodyView, LitBody, find_body, of_one_body
+from boresight.estimators.approach.body import BodyView, LitBody, find_body, lit_area_px, of_one_body
 from boresight.estimators.approach.centroid import CENTROID
 from boresight.estimators.approach.limb import LimbEstimator, LimbOptions
 from boresight.estimators.approach.sight import _by_pose
@@ -115,7 +115,14 @@ def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
 def test_the_attitude_of_a_sphere_does_not_move_its_centroid():
     """A crescent of 200 px; a sample a pixel makes its edges ragged."""
     ball, sun = icosphere(6, 100.0), np.array([np.sin(2.4), 0.0, -np.cos(2.4)])
-    view = BodyView(Assets().mesh_renderer(ball), ball.radius_m, replace(CAMERA, width_px=400, height_px=400), sun, 0.5)
+    view = BodyView(
+        Assets().mesh_renderer(ball),
+        ball.radius_m,
+        ball.area_vectors_m2,
+        replace(CAMERA, width_px=400, height_px=400),
+        sun,
+        0.5,
+    )
     pose = look_at(np.array([0.0, -1000.0, 0.0]))
     patch = view.render(pose)
     body = LitBody(patch, patch.image > 0.02, 0.01, 0.0, False)
@@ -287,6 +294,12 @@ def test_a_star_is_not_taken_for_a_small_body():
     assert np.linalg.norm(CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)) < 0.3
 
 
+def found_in(image: np.ndarray, diameter_px: float, frame: Frame | None = None) -> LitBody | str:
+    """What is found of a ball that is lit from the side in an image; the prior is that of a frame."""
+    frame = replace(frame or observed(1)[1].frame, image=image)
+    return find_body(frame, CAMERA, diameter_px, np.pi / 8.0 * diameter_px**2, 0.5)
+
+
 def test_only_the_body_is_found():
     """Shadows divide a body; a star, and a hot pixel, are no part of it. Most pixels of the sky are equal."""
     image = np.full((128, 160), 10.0, np.float32)
@@ -295,7 +308,7 @@ def test_only_the_body_is_found():
     image[40:50, 60:70], image[52:60, 60:70] = 200.0, 150.0  # divided by two dark rows
     image[100:102, 20:22] = 900.0
     image[45, 100] = 4000.0
-    found = find_body(replace(observed(1)[1].frame, image=image), CAMERA, 30.0)
+    found = found_in(image, 30.0)
     rows, columns = np.nonzero(found.lit)
     assert len(rows) == 180
     assert (found.patch.row + rows.min(), found.patch.column + columns.max()) == (40, 69)
@@ -317,13 +330,13 @@ def ahead(frame: Frame) -> Frame:
     return replace(frame, prior_T_cam_body=look_at(np.array([0.0, 0.0, 10_000.0])))
 
 
-@pytest.mark.parametrize("diameter_px", [60.0, 40.0], ids=["range", "wrong-range"])
+@pytest.mark.parametrize("diameter_px", [60.0, 45.0], ids=["range", "wrong-range"])
 @pytest.mark.parametrize("apart_px", [45.0, 50.0])
 def test_a_second_body_is_no_part_of_the_body(apart_px, diameter_px):
     """It lies within a diameter of the middle of the lit part, as one in the image of a moon does."""
     frame = ahead(observed(1)[1].frame)
     image, first, _ = two_discs(frame, apart_px)
-    found = find_body(replace(frame, image=image), CAMERA, diameter_px)
+    found = found_in(image, diameter_px, frame)
     assert found.lit.sum() == first.sum()
     assert found.extent_px == 60.0
 
@@ -334,7 +347,7 @@ def test_parts_of_a_body_that_is_nearer_than_the_prior_says_stay_together():
     image, first, _ = two_discs(frame, 500.0)
     columns = np.arange(CAMERA.width_px) + 0.5 - CAMERA.project(frame.prior_T_cam_body.translation_m)[0]
     image[:, (columns > 18.0) & (columns < 21.0)] = 10.0
-    found = find_body(replace(frame, image=image), CAMERA, 45.0)
+    found = found_in(image, 45.0, frame)
     assert found.lit.sum() == (first & (image > 100.0)).sum()
     assert found.extent_px == 60.0
 
@@ -348,8 +361,64 @@ def test_lobes_stay_together_as_far_as_the_range_may_be_wrong(sigma, kept):
     lobes = [np.hypot(columns - u - side, rows - v) < radius for side, radius in ((-16.0, 14.0), (16.0, 13.5))]
     image = np.where(lobes[0] | lobes[1], 200.0, 10.0).astype(np.float32)
     covariance = np.diag([1e-6] * 3 + [1.0, 1.0, (sigma * 10_000.0) ** 2])
-    found = find_body(replace(frame, image=image, prior_covariance=covariance), CAMERA, 45.0)
+    found = found_in(image, 45.0, replace(frame, prior_covariance=covariance))
     assert found.lit.sum() == sum(lobe.sum() for lobe in lobes[:kept])
+
+
+def test_a_larger_body_beside_it_is_passed_over():
+    """A moon of 24 px, and the limb and the other half of a disc of 60 px with a shadow between them."""
+    frame = ahead(observed(1)[1].frame)
+    image, _, second = two_discs(frame, 50.0)
+    found = found_in(image, 24.0, frame)
+    assert (found.lit.sum(), found.extent_px) == (second.sum(), 24.0)
+
+
+@pytest.mark.parametrize(("diameter_px", "reason"), [(24.0, "the body at most"), (300.0, "the body at least")])
+def test_another_body_alone_is_not_taken_for_it(diameter_px, reason):
+    """A half disc of 60 px; with an error of the range of half of it, it may be the body."""
+    frame = ahead(observed(1)[1].frame)
+    image = two_discs(frame, 500.0)[0]
+    assert reason in found_in(image, diameter_px, frame)
+    covariance = np.diag([1e-6] * 3 + [1.0, 1.0, 5_000.0**2])
+    assert isinstance(found_in(image, diameter_px, replace(frame, prior_covariance=covariance)), LitBody)
+
+
+def test_light_around_the_body_does_not_make_it_another_one():
+    """Dust or a veil of a tenth of its brightness, on four times its area."""
+    frame = ahead(observed(1)[1].frame)
+    image, first, _ = two_discs(frame, 500.0)
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
+    u, v = CAMERA.project(frame.prior_T_cam_body.translation_m)
+    image[(np.hypot(columns - u, rows - v) < 45.0) & ~first] = 29.0
+    assert isinstance(found_in(image, 60.0, frame), LitBody)
+
+
+@pytest.mark.parametrize("phase_rad", [0.0, 1.0, 2.0])
+def test_the_lit_area_of_a_ball_is_that_of_its_phase(phase_rad):
+    pose, sun = look_at(np.array([0.0, -1e5, 0.0])), np.array([np.sin(phase_rad), 0.0, -np.cos(phase_rad)])
+    expected = 0.5 * np.pi * (100.0 * CAMERA.fx_px / 1e5) ** 2 * (1.0 + np.cos(phase_rad))
+    assert lit_area_px(icosphere(5, 100.0).area_vectors_m2, pose, sun, CAMERA) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_other_of_two_bodies_is_never_the_answer(name):
+    """It has four times the body's area, and is nearer to where the prior has the body; then it is alone."""
+    other = np.hypot(*(np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5 - np.array([64.0, 80.0])[:, None, None]))
+    ok = 0
+    for trial in range(6):
+        truth, seen = observed(trial, size_px=30.0, middle_px=(48.0, 0.0), phase_deg=(20.0, 80.0))
+        covariance = seen.frame.prior_covariance.copy()
+        covariance[3:5, 3:5] *= 25.0
+        for image in (seen.frame.image, np.full_like(seen.frame.image, np.median(seen.frame.image))):
+            frame = replace(seen.frame, image=np.where(other < 24.0, 2000.0, image).astype(np.float32))
+            found = estimate(name, replace(seen, frame=replace(frame, prior_covariance=covariance)))
+            if image is not seen.frame.image:
+                assert "it is another one" in found.reason
+            elif found.status == "ok":
+                error = CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)
+                assert np.linalg.norm(error) < 3.0, trial
+                ok += 1
+    assert ok >= 5
 
 
 def test_many_groups_take_no_longer_than_their_pixels():
