@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from boresight.estimators.contract import ImageRenderer
-from boresight.estimators.landmark.signal import MAD_TO_SIGMA, unusable
-from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
+from boresight.estimators.landmark.signal import background_level, unusable
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.observation import Frame
 
@@ -17,7 +17,6 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _LEAST_PIXELS = 3
 _MARGIN_PX = 5
 _STAR_PX = 7  # side of a group that may be a star
-_SKY_ROWS = 128
 BODY_SHARE = 0.2
 """Of the bright level of a body: dust before the sky of 67P has up to a tenth."""
 # Of the predicted lit area: errors of the shape, and shadows of relief, which only darken.
@@ -97,7 +96,7 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
     if fault := unusable(frame, camera):
         return fault
     image = frame.image
-    level, noise = _sky(image)
+    level, noise = background_level(image)
     lit = image > np.float32(level + _SIGMAS * noise)
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     if not len(rows):
@@ -192,22 +191,6 @@ def near(image: FloatArray, lit: BoolArray) -> FloatArray:
     """Return an image (h, w) with 0 where no pixel of ``lit`` (h, w) is within two pixels: the blur of the optics."""
     grown = cv2.dilate(lit.astype(np.uint8), np.ones((5, 5), dtype=np.uint8))
     return np.where(grown > 0, image, 0.0)
-
-
-def _sky(image: Image) -> tuple[float, float]:
-    """Level and standard deviation of the sky, in the darkest of 64 blocks of an image (H, W), of about 128 rows of it.
-
-    Where noise is smaller than a digital number most pixels have the level itself, and their median deviation is 0. So
-    the mean square of the pixels that are darker than the level, which no body has, is taken too.
-    """
-    some = image[:: max(1, image.shape[0] // _SKY_ROWS)]
-    blocks = [part for rows in np.array_split(some, 8) for part in np.array_split(rows, 8, axis=1)]
-    dark = min(blocks, key=lambda block: float(block.mean()))
-    level = float(np.median(dark))
-    noise = MAD_TO_SIGMA * float(np.median(np.abs(dark - level)))
-    fall = level - some[some < level].astype(np.float64)
-    below = np.sqrt((fall**2).sum() / max(len(fall) + 0.5 * np.count_nonzero(some == level), 1.0))
-    return level, max(noise, float(below))
 
 
 def sphere_px(radius_m: float, T_cam_body: Pose, camera: Camera) -> float:

@@ -121,7 +121,7 @@ class LimbEstimator:
 
     Cost
     ----
-    0.01 s an image of 1024 x 1024 pixels, up to 0.03 s where the body fills it.
+    0.02 s an image of 1024 x 1024 pixels, up to 0.04 s where the body fills it.
 
     Source
     ------
@@ -130,7 +130,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 6
+    version: ClassVar[int] = 7
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
