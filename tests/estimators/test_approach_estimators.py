@@ -373,6 +373,16 @@ def test_a_larger_body_beside_it_is_passed_over():
     assert (found.lit.sum(), found.extent_px) == (second.sum(), 24.0)
 
 
+def test_a_larger_body_close_to_it_is_no_part_of_it():
+    """Balls of 20 and 26 px, 25 px apart: less than the body's diameter and the margin."""
+    frame = ahead(observed(1)[1].frame)
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
+    u, v = CAMERA.project(frame.prior_T_cam_body.translation_m)
+    first, other = (np.hypot(columns - u - side, rows - v) < radius for side, radius in ((0.0, 10.0), (24.9, 13.0)))
+    found = found_in(np.where(first | other, 200.0, 10.0).astype(np.float32), 20.0, frame)
+    assert found.lit.sum() == first.sum()
+
+
 @pytest.mark.parametrize(("diameter_px", "reason"), [(24.0, "the body at most"), (300.0, "the body at least")])
 def test_another_body_alone_is_not_taken_for_it(diameter_px, reason):
     """A half disc of 60 px; with an error of the range of half of it, it may be the body."""
