@@ -121,7 +121,7 @@ class LimbEstimator:
 
     Cost
     ----
-    0.02 s an image of 1024 x 1024 pixels, up to 0.04 s where the body fills it.
+    0.01 s an image of 1024 x 1024 pixels, up to 0.03 s where the body fills it.
 
     Source
     ------
