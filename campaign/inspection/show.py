@@ -22,7 +22,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import module_of
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.records import CONTROLS
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
@@ -211,7 +211,7 @@ def finite_or_dash(value: float, unit: str) -> str:
 
 def middle_and_worst(scene: EstimatorRun) -> Iterator[tuple[str, str, Recomputed]]:
     """Recompute the median and the worst trial, with names and colours; one trial if they are the same."""
-    every = len(select(scene.run.rows, scene.scenario, scene.label))
+    every = len(scene.run.of(scene.scenario, scene.label))
     ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
     cases = dict.fromkeys([ranked[len(ranked) // 2], ranked[0]])
     for name, colour, case in zip(("middle", "worst"), (GOOD, BAD), cases, strict=False):

@@ -15,7 +15,6 @@ from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.crater_navigation import counts_figure
 from boresight.reports.kinds.image_survey import survey_figures
 from boresight.reports.kinds.orbit_determination import reference_scenarios, residual_figure
-from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid
 
 _DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
@@ -63,7 +62,7 @@ def _figure_10(run: FinishedRun) -> Iterator[NamedFigure]:
     data = run.content.run
     for label in (label for method in (_FILTER, _CHAIN) for label in run.labels(method)):
         for scenario in reference_scenarios(data):
-            if len(select(data.table("residuals"), scenario, label)):
+            if len(data.of(scenario, label, "residuals")):
                 yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}_{label}")
 
 

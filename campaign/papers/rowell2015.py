@@ -54,7 +54,6 @@ from boresight.reports.kinds.single_image import (
     sensitivity_grid,
 )
 from boresight.reports.published import load_published
-from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.arrays import FloatArray
@@ -159,7 +158,7 @@ def _figure_5(run: FinishedRun) -> Iterator[NamedFigure]:
     data = run.content.run
     scenario, have = data.pairs()[0][0], {label for _, label in data.pairs()}
     groups = {
-        title: {name: select(data.rows, scenario, label) for label, name in labels.items() if label in have}
+        title: {name: data.of(scenario, label) for label, name in labels.items() if label in have}
         for title, labels in _FIGURE_5.items()
     }
     n = len(data.rows[["scenario", "trial"]].drop_duplicates())

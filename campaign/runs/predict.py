@@ -16,7 +16,7 @@ from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.trial.kind import PerDatabase, Prediction, Record, WorkerContext, kind_named
 from boresight.campaign.trial.score import MEASURES, measured_errors
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.statistics.intervals import Interval, interval_of_sums
 from boresight.scenarios.errors import BoresightError, MachineError, text_of
 
@@ -121,7 +121,7 @@ def summarise(predicted: pd.DataFrame, run: RunData | None = None) -> Iterator[P
 
 def _compared(one: PredictedError, known: pd.DataFrame, run: RunData) -> PredictedError:
     """Add the errors of the rows of the same scenario, estimator and trials."""
-    own = select(run.rows, one.scenario, one.estimator)
+    own = run.of(one.scenario, one.estimator)
     own = own[own["status"] == "ok"]
     scored = ((row["trial"], measured_errors(row)) for row in own.to_dict("records"))
     errors = {int(trial): found[one.measure] for trial, found in scored if one.measure in found}

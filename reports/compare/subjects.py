@@ -9,11 +9,11 @@ table at the level of one test.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -49,6 +49,9 @@ from boresight.reports.statistics.measured import (
 )
 from boresight.reports.statistics.paired import rate_difference, sign_test
 from boresight.scenarios.errors import BoresightError
+
+MOST_PAIRED = 8
+"""Levels of a factor up to which each is compared with each other; of more, each with the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +247,11 @@ class RunComparison:
 
     def of(self, subject: Subject) -> pd.DataFrame:
         """Trials of a subject."""
-        return _of(self.trials, self.factors, subject.names)
+        return self.trials.iloc[self._places[subject.names]]
+
+    @cached_property
+    def _places(self) -> Mapping[tuple[Any, ...], Any]:
+        return _places(self.trials, self.factors)
 
     @cached_property
     def styles(self) -> dict[tuple[str, ...], PlotStyle]:
@@ -302,14 +309,15 @@ def compared(
     own = tuple(factors or default_factors(trials))
     if RUN not in own and trials.duplicated([*own, *KEY]).any():
         own = (RUN, *own)  # several runs have the same trials of a subject
-    subjects = tuple(subject_of(_of(trials, own, one), one) for one in _in_order(trials, own, runs))
+    places = _places(trials, own)
+    subjects = tuple(subject_of(trials.iloc[places[one]], one) for one in _in_order(trials, own, runs))
     if all(subject.n_ok == 0 for subject in subjects):
         folders = ", ".join(str(run.folder) for run in runs)
         raise BoresightError(f"--metric {chosen.name}: no trial of {folders} has a value of it")
     contrasts = []
     for first, second in one_factor_apart(subjects):
         names = (first.names, second.names)
-        tables = [_of(trials, own, one) for one in names]
+        tables = [trials.iloc[places[one]] for one in names]
         found = paired_contrast(names, *tables)
         if found is None and unpaired:
             found = independent_contrast(names, *tables)
@@ -319,11 +327,22 @@ def compared(
     return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
 
 
-def one_factor_apart(subjects: Sequence[Subject]) -> Iterator[tuple[Subject, Subject]]:
-    """Yield the pairs of subjects that differ in one factor alone, without the control, which estimates nothing."""
-    for second, first in combinations((one for one in subjects if one.estimator != CONTROL), 2):
-        if sum(a != b for a, b in zip(first.names, second.names, strict=True)) == 1:
-            yield first, second
+def one_factor_apart(subjects: Sequence[Subject]) -> list[tuple[Subject, Subject]]:
+    """List the pairs of subjects that differ in one factor alone, without the control, which estimates nothing.
+
+    Of more than `MOST_PAIRED` subjects that differ in a factor, each is paired with the first of them alone.
+    """
+    alike: dict[tuple[int, tuple[str, ...]], list[int]] = {}
+    for place, one in enumerate(subjects):
+        for k in range(len(one.names)) if one.estimator != CONTROL else ():
+            alike.setdefault((k, one.names[:k] + one.names[k + 1 :]), []).append(place)
+    pairs = [
+        pair
+        for places in alike.values()
+        for second in (places if len(places) <= MOST_PAIRED else places[:1])
+        for pair in ((second, first) for first in places if first > second)
+    ]
+    return [(subjects[first], subjects[second]) for second, first in sorted(pairs)]
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:
@@ -340,11 +359,10 @@ def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunDa
     return [line[-1] for line in ranked]
 
 
-def _of(trials: pd.DataFrame, factors: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    mine = np.ones(len(trials), dtype=bool)
-    for factor, name in zip(factors, names, strict=True):
-        mine &= (trials[factor] == name).to_numpy()
-    return trials[mine]
+def _places(trials: pd.DataFrame, factors: Sequence[str]) -> Mapping[tuple[Any, ...], Any]:
+    """Return the numbers of the lines of each subject, by its levels of the factors."""
+    found = trials.groupby(list(factors), sort=False).indices
+    return {key if isinstance(key, tuple) else (key,): places for key, places in found.items()}
 
 
 def subject_of(rows: pd.DataFrame, names: tuple[str, ...], statistics: Sequence[Statistic] = STATISTICS) -> Subject:

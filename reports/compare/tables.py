@@ -9,7 +9,14 @@ from dataclasses import asdict, replace
 
 import pandas as pd
 
-from boresight.reports.compare.subjects import STATISTICS, Contrast, RunComparison, Subject, one_factor_apart
+from boresight.reports.compare.subjects import (
+    MOST_PAIRED,
+    STATISTICS,
+    Contrast,
+    RunComparison,
+    Subject,
+    one_factor_apart,
+)
 from boresight.reports.compare.trials import (
     ESTIMATOR,
     KEY,
@@ -83,7 +90,7 @@ def scenario_differences(runs: Sequence[RunData]) -> str:
 def not_paired(found: RunComparison) -> str:
     """Say why lines that differ in one factor have no difference; '' if all have one."""
     named = [one for one in found.subjects if one.estimator != CONTROL]
-    pairs = list(one_factor_apart(found.subjects))
+    pairs = one_factor_apart(found.subjects)
     if len(named) > 1 and not pairs:
         return f"all lines differ in two or more of {', '.join(found.varied)}: give --by with one of them"
     known = {(one.first, one.second) for one in found.contrasts}
@@ -132,6 +139,14 @@ def pooled_lines(found: RunComparison) -> str:
             every = list(dict.fromkeys(str(level) for own in levels for level in own))
             parts.append(f"{factor}s ({', '.join(every) if factor == ESTIMATOR else len(every)})")
     return f"Lines pool the trials of several {' and '.join(parts)}." if parts else ""
+
+
+def first_alone(found: RunComparison) -> str:
+    """Say of which factors each level is compared with the first alone; '' if of none."""
+    levels = {factor: {one.names[k] for one in found.subjects} for k, factor in enumerate(found.factors)}
+    counted = {factor: len(own - {CONTROL}) for factor, own in levels.items()}
+    many = [count_of(n, factor) for factor, n in counted.items() if n > MOST_PAIRED]
+    return f"Of {' and '.join(many)} each is compared with the first alone." if many else ""
 
 
 def counted_tests(found: RunComparison) -> str:
@@ -242,7 +257,7 @@ def contrast_tables(found: RunComparison) -> tuple[Grid | None, pd.DataFrame]:
         " Failures: difference of the failure rates, negative where there are fewer."
         + (" Of all: a failure loses against what did not fail." if is_error else "")
     )
-    note = " ".join(filter(None, (note, equal_pairs(found), counted_tests(found))))
+    note = " ".join(filter(None, (note, first_alone(found), equal_pairs(found), counted_tests(found))))
     if any(not one.paired for one in found.contrasts):
         note += (
             " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"

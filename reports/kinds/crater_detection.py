@@ -21,7 +21,7 @@ from boresight.reports.figures.craters import (
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import (
     NO_VALUE,
     SCENARIO,
@@ -86,11 +86,11 @@ class DetectorResults:
 def detector_results(run: RunData) -> Iterator[DetectorResults]:
     """Yield each detector's images, of the trials that it did not fail on for a fault of its own."""
     for scenario, estimator in run.pairs():
-        rows = select(run.rows, scenario, estimator)
+        rows = run.of(scenario, estimator)
         images = rows[["scenario", "trial"]].sort_values("trial")
         unit = clusters_of(run, images)
         images = images.assign(unit=unit, world=unit if run.databases > 1 else "")
-        found = select(run.table("detections"), scenario, estimator).merge(images, on=["scenario", "trial"])
+        found = run.of(scenario, estimator, "detections").merge(images, on=["scenario", "trial"])
         here = run.table("craters").merge(images, on=["scenario", "trial"])
         matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
         craters = here.merge(matched, on=["trial", "crater"], how="left")
@@ -400,7 +400,7 @@ def example_figure(run: RunData, scenario: str, estimator: str, trial: int, imag
     """Draw one image of a stored run with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
     truth = run.table("craters")
     truth = truth[(truth["scenario"] == scenario) & (truth["trial"] == trial)]
-    found = select(run.table("detections"), scenario, estimator)
+    found = run.of(scenario, estimator, "detections")
     found = found[(found["trial"] == trial) & found["kept"].astype(bool)]
     detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
     return draw_example(

@@ -10,7 +10,7 @@ import pandas as pd
 from boresight.reports.figures.craters import draw_crater_counts, draw_landmark_spans
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
-from boresight.reports.run.data import TRIAL_KEY, RunData, select
+from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.run.limits import limited_title
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, record_column, record_grid
 from boresight.reports.schema.records import Key, Record
@@ -83,9 +83,9 @@ def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
 def navigation_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the counts and the spans of the first trial of each scenario and chain."""
     for scenario, estimator in run.pairs():
-        if len(select(run.table("navigated_images"), scenario, estimator)):
+        if len(run.of(scenario, estimator, "navigated_images")):
             yield counts_figure(run, scenario, estimator)
-        landmarks = select(run.table("navigated_landmarks"), scenario, estimator)
+        landmarks = run.of(scenario, estimator, "navigated_landmarks")
         if len(landmarks):
             title = f"Landmarks over time, {scenario}, {estimator}, first trial"
             yield NamedFigure(
@@ -98,8 +98,8 @@ def navigation_figures(run: RunData) -> Iterator[NamedFigure]:
 
 def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     """Draw how many craters images have and how many images landmarks, in the first trial."""
-    images = _first(select(run.table("navigated_images"), scenario, estimator))
-    landmarks = _first(select(run.table("navigated_landmarks"), scenario, estimator))
+    images = _first(run.of(scenario, estimator, "navigated_images"))
+    landmarks = _first(run.of(scenario, estimator, "navigated_landmarks"))
     title = f"Craters of images and images of landmarks, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("crater_counts", scenario, estimator),

@@ -20,7 +20,7 @@ from boresight.reports.figures.comparison import Effect, HeatMap, draw_curves, d
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.style import Points
 from boresight.reports.run.clusters import clusters_of, image_set
-from boresight.reports.run.data import GridAxis, RunData, ScenarioGrid, select
+from boresight.reports.run.data import GridAxis, RunData, ScenarioGrid
 from boresight.reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, of_ended
 from boresight.reports.schema.kinds import SEQUENCE_COLUMNS
@@ -110,10 +110,10 @@ class DesignData:
         key, run = (scenario, outcome), self.run
         if key not in self._errors:
             if outcome.stage == _REPORTED:
-                told = select(run.table("diagnostics"), scenario, outcome.estimator)
+                told = run.of(scenario, outcome.estimator, "diagnostics")
                 errors = told[told["name"] == outcome.measure].set_index("trial")["value"]
             elif outcome.stage == SEQUENCE:  # of every trial that came so far, whether or not it failed later
-                errors = select(run.rows, scenario, outcome.estimator).set_index("trial")[outcome.measure]
+                errors = run.of(scenario, outcome.estimator).set_index("trial")[outcome.measure]
             else:
                 stages = errors_by_stage(run, scenario, outcome.estimator)
                 table = stages.get(outcome.stage or final_stage(run, scenario, outcome.estimator))
@@ -123,7 +123,7 @@ class DesignData:
 
     def trials(self, scenario: str, outcome: Outcome) -> int:
         """Count the trials of a scenario, with and without an estimate."""
-        return len(select(self.run.rows, scenario, outcome.estimator))
+        return len(self.run.of(scenario, outcome.estimator))
 
     def priors(self, names: Sequence[str], estimator: str) -> list[Outcome]:
         """Return the position error of the prior that an estimator began with, where its trials have one."""
@@ -150,7 +150,7 @@ class DesignData:
         solved = self.ok(scenarios, outcome)
         if not self.priors(scenarios, outcome.estimator):
             return (solved,)
-        good = [succeeded(select(self.run.rows, name, outcome.estimator)) for name in scenarios]
+        good = [succeeded(self.run.of(name, outcome.estimator)) for name in scenarios]
         return (solved, f"{sum(int(own.sum()) for own in good)}/{sum(map(len, good))}")
 
     def change(self, scenario: str, against: str, outcome: Outcome) -> Measured:

@@ -11,7 +11,7 @@ from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_grids
 from boresight.reports.published import Comparison, within_statistic
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, in_order_of, select
+from boresight.reports.run.data import RunData, in_order_of
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, GridColumn, record_column, record_grid
 from boresight.reports.schema.records import Key, Record, count_of
 from boresight.reports.statistics.consistency import AT_EPOCH, consistency_grid
@@ -55,7 +55,7 @@ def orbit_records(run: RunData, comparison: Comparison | None) -> list[Record]:
     bounds = {(claim.measure, claim.within) for claim in (comparison.claims if comparison else ()) if claim.within}
     for pair in run.pairs() if len(orbits) else ():
         records += table_records(run, orbits, ORBIT, _STATISTICS, [pair])
-        rows = select(run.rows, *pair)
+        rows = run.of(*pair)
         for name, bound in sorted(bounds):
             within = (in_order_of(rows, orbits, [name])[name] <= bound).to_numpy()
             share = percent(share_of(within, clusters_of(run, rows)))
@@ -89,7 +89,7 @@ def orbit_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     """Tabulate the errors of the orbits of each scenario and estimator."""
 
     def converged(key: Key) -> str:
-        own = select(run.rows, key.scenario, key.estimator)
+        own = run.of(key.scenario, key.estimator)
         return f"{(own['status'] == 'ok').sum()}/{len(own)}"
 
     columns = (SCENARIO, ESTIMATOR, GridColumn("converged", lambda key, _: converged(key)), *_COLUMNS)
@@ -102,7 +102,7 @@ def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
     for scenario in reference_scenarios(run):
         errors = run.table("orbit_errors")[run.table("orbit_errors")["scenario"] == scenario]
         for estimator in dict.fromkeys(errors["estimator"]):
-            if len(select(run.table("residuals"), scenario, estimator)):
+            if len(run.of(scenario, estimator, "residuals")):
                 yield residual_figure(run, scenario, estimator)
         if len(errors):
             title, trials = f"Position error in inertial space, {scenario}", errors["trial"].nunique()
@@ -120,7 +120,7 @@ def residual_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     title = f"Optical data residuals, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("residuals", scenario, estimator),
-        draw_residuals(select(run.table("residuals"), scenario, estimator), title),
+        draw_residuals(run.of(scenario, estimator, "residuals"), title),
         f"{title}: seen less predicted of the sightings that were not edited (figure 10 of Cheng et al. 2003).",
         "Residuals of columns and rows in pixels against time.",
     )

@@ -15,7 +15,7 @@ from boresight.reports.compare.trials import nothing_to_find, trial_numbers
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.style import BLUE, ORANGE, finish, grid_figure, styled
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, in_order_of, select
+from boresight.reports.run.data import RunData, in_order_of
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, chance, number, row_grid
@@ -111,7 +111,7 @@ def required_values(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Se
             wanted = not asked.scenarios or scenario in asked.scenarios
             own = estimator in asked.estimators if asked.estimators else estimator not in CONTROLS
             if wanted and own:
-                yield requirement, scenario, estimator, values.loc[select(run.rows, scenario, estimator).index]
+                yield requirement, scenario, estimator, values.loc[run.of(scenario, estimator).index]
 
 
 def _units(run: RunData, rows: pd.DataFrame) -> NDArray[np.generic]:

@@ -31,7 +31,7 @@ from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import REVOLUTION_ERRORS, design_figures, design_grids
 from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
@@ -182,7 +182,7 @@ def reduction_records(run: RunData, comparison: Comparison) -> Iterator[Record]:
                 against = published.against
                 other = (against, estimator) if against in scenarios else (scenario, against)
                 if other in pairs:
-                    mine, theirs = (select(run.rows, *pair) for pair in ((scenario, estimator), other))
+                    mine, theirs = (run.of(*pair) for pair in ((scenario, estimator), other))
                     error = f"{published.measure.removesuffix('_reduction')}_m"
                     both = _PairedErrors.of(run, mine, theirs, error, ["trial"])
                     sample = Sample(scenario, estimator, REDUCTION, both.n, against)
@@ -358,7 +358,7 @@ def trace_figure(
 
 def start_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     """Draw the errors of every trial along the frames."""
-    epochs = select(run.table("epochs"), scenario, estimator)
+    epochs = run.of(scenario, estimator, "epochs")
     title = f"Position error from {count_of(epochs['trial'].nunique(), 'start')}, {estimator}"
     return NamedFigure(
         file_stem(f"starts_{scenario}"),
@@ -395,10 +395,7 @@ def revolution_figure(
 ) -> NamedFigure:
     """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
     errors = {
-        line: {
-            level: (rows := select(run.rows, *pair)).assign(cluster=clusters_of(run, rows))
-            for level, pair in levels.items()
-        }
+        line: {level: (rows := run.of(*pair)).assign(cluster=clusters_of(run, rows)) for level, pair in levels.items()}
         for line, levels in series.items()
     }
     axes = run.manifest.grid.axes if run.manifest.grid is not None else ()

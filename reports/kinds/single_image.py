@@ -25,7 +25,7 @@ from boresight.reports.kinds.designs import design_figures, design_grids
 from boresight.reports.kinds.ranges import range_figures
 from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
 from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, row_grid, value_of
@@ -102,7 +102,7 @@ def costs(run: RunData) -> list[Cost]:
 
 
 def _by_trial(run: RunData, cost: Cost) -> pd.DataFrame:
-    rows = select(run.rows, cost.scenario, cost.estimator).set_index("trial", drop=False)
+    rows = run.of(cost.scenario, cost.estimator).set_index("trial", drop=False)
     return rows.assign(seconds=_seconds(run, cost.scenario, cost.estimator))
 
 
@@ -175,13 +175,13 @@ def trade_grid(run: RunData) -> Grid | None:
 
 def _seconds(run: RunData, scenario: str, estimator: str) -> pd.Series[float]:
     """Sum the estimator's own stages by trial, s."""
-    times = select(run.table("timings"), scenario, estimator)
+    times = run.of(scenario, estimator, "timings")
     own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE])]
     return own.groupby("trial", sort=False)["seconds"].sum()
 
 
 def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
-    rows = select(run.rows, scenario, estimator)
+    rows = run.of(scenario, estimator)
     ok = rows[rows["status"] == "ok"]
     position, attitude = (
         measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0] for name in _ERRORS
@@ -320,7 +320,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
     """Draw the errors of recognised landmarks, and their number an image, where there are any."""
     run = content.run
     credit_lines = run.manifest.credits
-    marks = select(run.table("landmarks"), scenario, estimator)
+    marks = run.of(scenario, estimator, "landmarks")
     error, chi_square = (marks[name].dropna().to_numpy(dtype=np.float64) for name in ("error_m", "chi_square"))
     if len(error) and len(chi_square):
         title = f"Landmark recognition error, {scenario}, {estimator}"
@@ -331,7 +331,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
             " the same weighted by the landmark's covariance, with the distribution that a Gaussian error would give.",
             "Histogram of landmark errors in metres, and histogram of chi-square with its theoretical curve.",
         )
-    rows = select(run.rows, scenario, estimator)
+    rows = run.of(scenario, estimator)
     counts = rows.loc[rows["status"] == "ok", "n_landmarks"].dropna().to_numpy(dtype=np.float64)
     if len(set(counts)) > 1:
         title = f"Landmarks an image, {scenario}, {estimator}"
@@ -365,7 +365,7 @@ def _outlier_figures(run: RunData, scenario: str, estimator: str) -> Iterator[Na
 def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) -> Iterator[NamedFigure]:
     """Draw all estimators of a scenario: their final errors over each other, what these cost, and their shares."""
     run = content.run
-    rows = {label: select(run.rows, scenario, label) for label in labels}
+    rows = {label: run.of(scenario, label) for label in labels}
     final = {label: own for label, own in rows.items() if label != CONTROL}
     if len(final) > 1:
         title = f"Final pose error by estimator, {scenario}"

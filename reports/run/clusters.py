@@ -51,11 +51,14 @@ def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
         named = np.char.add(_DATA_BASE, np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
         return np.where(np.isnan(number), trials, named)
     units: NDArray[np.str_] = trials
-    images = run.image_of_trial
-    if (images != "").any():
-        image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+    if run.has_images:
+        image = (
+            run.image_of_trial.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]]))
+            .fillna("")
+            .to_numpy(dtype=str)
+        )
         units = np.where(image == "", trials, image)
-    sets = {name: image_set(spec) for name, spec in run.manifest.scenarios.items()}
+    sets = {name: image_set(run.manifest.scenarios.get(name, {})) for name in table["scenario"].unique()}
     if any(sets.values()):
         seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
         units = np.where(seen == "", units, seen)

@@ -203,6 +203,23 @@ class RunData:
         except ValueError:
             return None
 
+    def of(self, scenario: str, estimator: str, name: str = "rows") -> pd.DataFrame:
+        """Return the lines of one scenario and estimator in a table of the run, in their order; see `table`."""
+        whole = self.table(name)
+        if name not in self._places:
+            self._places[name] = whole.groupby(["scenario", "estimator"], sort=False).indices
+        return whole.iloc[self._places[name].get((scenario, estimator), [])]
+
+    @cached_property
+    def _places(self) -> dict[str, Mapping[Any, Any]]:
+        """Numbers of the lines by table, and by scenario and estimator: grouped once, as a run may have many."""
+        return {}
+
+    @cached_property
+    def has_images(self) -> bool:
+        """Whether images of a set were read."""
+        return bool((self.image_of_trial != "").any())
+
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""
         return list(self.rows[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.records import CONTROL, count_of, shortened
 from boresight.reports.schema.tables import kind_schema
@@ -50,9 +50,8 @@ def unsolved_lines(run: RunData) -> list[str]:
     """Return a line for each method that solved no trial of a scenario, with its reasons counted."""
     failed, _ = unsolved(run)
     lines = []
-    for scenario, estimator in failed[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None):
-        rows = select(failed, scenario, estimator)
-        n = len(select(run.rows, scenario, estimator))
+    for (scenario, estimator), rows in failed.groupby(["scenario", "estimator"], sort=False):
+        n = len(run.of(scenario, estimator))
         if len(rows) == n:
             reasons = [
                 f"{int(count):,} {shortened(reason, _MOST_CHARACTERS)}" for reason, count in tally(rows, ["reason"])
@@ -80,7 +79,7 @@ def reason_lines(run: RunData) -> list[str]:
 
 def final_stage(run: RunData, scenario: str, estimator: str) -> str:
     """Return the last stage that the estimator reports; its errors are those of the rows."""
-    names = select(run.table("stages"), scenario, estimator)["stage"].unique()
+    names = run.of(scenario, estimator, "stages")["stage"].unique()
     return str(names[-1]) if len(names) and names[-1] != CONTROL else "final"
 
 
@@ -90,9 +89,9 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
     The prior is known for every trial, a stage for the trials that reached it, the final estimate for
     those that are ok.
     """
-    rows = select(run.rows, scenario, estimator)
+    rows = run.of(scenario, estimator)
     prior = rows[["trial"]].assign(**{name: rows[f"prior_{name}"] for name in POSE_COLUMNS})
-    stages = select(run.table("stages"), scenario, estimator)
+    stages = run.of(scenario, estimator, "stages")
     last = final_stage(run, scenario, estimator)
     between = [name for name in stages["stage"].unique() if name not in (CONTROL, last)]
     columns = ["trial", *POSE_COLUMNS]

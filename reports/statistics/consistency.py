@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import TRIAL_KEY, RunData, select
+from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.run.outcomes import revolution_ends
 from boresight.reports.schema.grid import (
     ESTIMATOR,
@@ -145,13 +145,14 @@ def consistency_records(run: RunData) -> list[Record]:
     """Compare errors with every covariance and bound; no records of estimators that give neither."""
     records: list[Record] = []
     kinds = list(normalised_errors(run))
+    tables = [dict(list(kind.table.groupby(["scenario", "estimator"], sort=False))) for kind in kinds]
     posed = set(run.posed_pairs())
     for scenario, estimator in run.pairs():
-        own = select(run.rows, scenario, estimator)
+        own = run.of(scenario, estimator)
         sample = Sample(scenario, estimator, CONSISTENCY, len(own), unit="")
-        for kind in kinds:
-            errors = replace(kind, table=select(kind.table, scenario, estimator))
-            if len(errors.table):
+        for kind, of_pair in zip(kinds, tables, strict=True):
+            if (scenario, estimator) in of_pair:
+                errors = replace(kind, table=of_pair[scenario, estimator])
                 found = errors.test(clusters_of(run, errors.table))
                 records += [sample.record(kind.name, name, part, len(errors.table)) for name, part in found.items()]
         if (scenario, estimator) in posed:

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.clusters import clusters_of, groups, units_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
 from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
@@ -250,9 +250,10 @@ def table_records(
     The table is of all scenarios and estimators, ``stage`` that of the records. ``statistics`` are by columns, in the
     order of the records. ``pairs`` are scenarios and estimators; without them all of the run.
     """
+    of_pair = dict(list(table.groupby(["scenario", "estimator"], sort=False)))
     for scenario, estimator in run.pairs() if pairs is None else pairs:
-        own = select(table, scenario, estimator)
-        sample = Sample(scenario, estimator, stage, len(select(run.rows, scenario, estimator)))
+        own = of_pair.get((scenario, estimator), table.iloc[:0])
+        sample = Sample(scenario, estimator, stage, len(run.of(scenario, estimator)))
         clusters = clusters_of(run, own)
         for name, chosen in statistics.items():
             yield from sample.records(name, own[name], clusters, chosen)
@@ -268,7 +269,7 @@ def _pose_records(run: RunData, sample: Sample, errors: pd.DataFrame) -> Iterato
 def pose_measures(run: RunData) -> Iterator[Record]:
     """Measure pose errors after each stage, those with failures counted at the error of their prior, and success."""
     for scenario, estimator in run.posed_pairs():
-        rows = select(run.rows, scenario, estimator)
+        rows = run.of(scenario, estimator)
         stages = errors_by_stage(run, scenario, estimator)
         if estimator != CONTROL:
             ok = (rows["status"] == "ok").to_numpy()
@@ -286,14 +287,14 @@ def pose_measures(run: RunData) -> Iterator[Record]:
 def _final_samples(run: RunData, pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[Sample, pd.DataFrame]]:
     """Yield the rows of each scenario and estimator, and what records on their final stage are of."""
     for scenario, estimator in pairs:
-        rows = select(run.rows, scenario, estimator)
+        rows = run.of(scenario, estimator)
         yield Sample(scenario, estimator, final_stage(run, scenario, estimator), len(rows)), rows
 
 
 def reference_measures(run: RunData) -> Iterator[Record]:
     """Measure final pose errors against each further reference pose; those against the truth are measured elsewhere."""
     for sample, _ in _final_samples(run, run.pairs()):
-        table = select(run.table("references"), sample.scenario, sample.estimator)
+        table = run.of(sample.scenario, sample.estimator, "references")
         # An estimator's errors against the truth are measured from its stages; the control has no stages.
         known = set() if sample.estimator == CONTROL else {run.truth_name(sample.scenario)}
         for reference in sorted(set(table["reference"]) - known):
@@ -310,7 +311,7 @@ def improvement_measures(run: RunData) -> Iterator[Record]:
         ok = rows[rows["status"] == "ok"]
         prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
         yield from _reductions(run, sample, prior, ok)
-        mine, control = (select(run.table("references"), sample.scenario, name) for name in (sample.estimator, CONTROL))
+        mine, control = (run.of(sample.scenario, name, "references") for name in (sample.estimator, CONTROL))
         for reference in sorted(set(mine["reference"]) - {run.truth_name(sample.scenario)}):
             final, before = (table[table["reference"] == reference] for table in (mine, control))
             yield from _reductions(run, replace(sample, reference=str(reference)), before, final)
@@ -332,7 +333,7 @@ def landmark_measures(run: RunData) -> Iterator[Record]:
             yield from sample.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
             yield sample.share("four_landmarks_share", enough, clusters_of(run, rows))
-        marks = select(run.table("landmarks"), sample.scenario, sample.estimator)
+        marks = run.of(sample.scenario, sample.estimator, "landmarks")
         if len(marks):
             sample, clusters = replace(sample, n=len(marks)), clusters_of(run, marks)
             yield sample.record("landmark_observations", "count", Measured(*3 * (len(marks),)))

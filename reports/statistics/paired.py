@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.clusters import clusters_of, units_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, record_column, record_grid, text_column
 from boresight.reports.schema.records import CONTROL, Record
@@ -75,12 +75,14 @@ def _solution(counts: np.ndarray, normal: np.ndarray, right: np.ndarray) -> np.n
 def paired_records(run: RunData) -> list[Record]:
     """Compare every estimator with the first one of its scenario; nothing where there is only one."""
     records: list[Record] = []
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
-        found = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
+    labels: dict[str, list[str]] = {}
+    for scenario, name in run.posed_pairs():
+        labels.setdefault(scenario, []).extend([name] if name != CONTROL else [])
+    for scenario, found in labels.items():
         first, *others = sorted(found, key=run.place_of) or [""]
-        of_first = select(run.rows, scenario, first).set_index("trial", drop=False)
+        of_first = run.of(scenario, first).set_index("trial", drop=False)
         for name in others:
-            rows = select(run.rows, scenario, name).set_index("trial", drop=False)
+            rows = run.of(scenario, name).set_index("trial", drop=False)
             trials = rows.index.intersection(of_first.index)
             sample = Sample(scenario, name, PAIRED, len(trials), first)
             records += _pair_records(run, sample, rows.loc[trials], of_first.loc[trials])

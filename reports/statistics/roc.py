@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import RunData, select
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
@@ -69,7 +69,7 @@ class OutlierScore:
 def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
     """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
     for scenario, estimator in run.posed_pairs():
-        rows = select(run.rows, scenario, estimator)
+        rows = run.of(scenario, estimator)
         rows = rows[rows["status"] == "ok"]
         if estimator == CONTROL or rows.empty:
             continue
@@ -78,7 +78,7 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
             ABOVE_PRIOR: error > rows["prior_position_error_m"].to_numpy(),
             ABOVE_MEDIANS: error > 3.0 * np.median(error),
         }
-        numbers, clusters = select(run.table("diagnostics"), scenario, estimator), clusters_of(run, rows)
+        numbers, clusters = run.of(scenario, estimator, "diagnostics"), clusters_of(run, rows)
         for name in numbers["name"].unique():
             by_trial = numbers[numbers["name"] == name].set_index("trial")["value"]
             values = by_trial.reindex(rows["trial"]).to_numpy()

@@ -26,7 +26,7 @@ from boresight.reports.compare.trials import missed_or_wrong
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds.crater_detection import draw_example, ellipses_of, example_figure, stages_figure
 from boresight.reports.pages.view3d import View3D
-from boresight.reports.run.data import RunData, read_run, select
+from boresight.reports.run.data import RunData, read_run
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
 
@@ -90,7 +90,7 @@ def look_at_detections(scene: EstimatorRun) -> View3D:
     Of several worlds the first is shown.
     """
     run, experiment = scene.run, cast("CraterDetection", scene.opened())
-    rows = select(run.rows, scene.scenario, scene.label)
+    rows = run.of(scene.scenario, scene.label)
     rows = rows[rows["trial"] % scene.campaign.spec.databases == 0]
     ground = experiment.world.ground
     if ground is None:
@@ -99,7 +99,7 @@ def look_at_detections(scene: EstimatorRun) -> View3D:
         (run.table("craters")["scenario"] == scene.scenario) & run.table("craters")["detectable"].astype(bool)
     ]
     there = there[there["trial"].isin(rows["trial"])]
-    found = select(run.table("detections"), scene.scenario, scene.label)
+    found = run.of(scene.scenario, scene.label, "detections")
     found = found[found["trial"].isin(rows["trial"])]
     found = found[found["kept"].astype(bool) & found["detectable"].astype(bool) & (found["crater"] >= 0)]
     chances = there.groupby("crater").size()

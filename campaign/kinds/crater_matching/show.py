@@ -29,7 +29,7 @@ from boresight.reports.compare.trials import missed_or_wrong
 from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.pages.view3d import View3D
-from boresight.reports.run.data import RunData, read_run, select
+from boresight.reports.run.data import RunData, read_run
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
@@ -43,7 +43,7 @@ _MOST_PAIRS = 60
 def look_at_matches(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are matched when both looks show them, and both cameras of each trial."""
     run, experiment = scene.run, cast("CraterMatching", scene.opened())
-    rows = select(run.rows, scene.scenario, scene.label).head(_MOST_PAIRS)
+    rows = run.of(scene.scenario, scene.label).head(_MOST_PAIRS)
     views, outcomes = {}, []
     for trial in map(int, rows["trial"]):
         shown = recompute(scene.campaign, scene.folder, Case(scene.scenario, scene.label, trial)).shown
@@ -60,7 +60,7 @@ def look_at_matches(scene: EstimatorRun) -> View3D:
     look = crater_look(
         scene, rows, marks, experiment.known.mesh, (views, "missed or wrong matches", missed_or_wrong(run))
     )
-    more = len(select(run.rows, scene.scenario, scene.label)) - len(rows)
+    more = len(run.of(scene.scenario, scene.label)) - len(rows)
     return replace(look, note=f"{look.note} {more} further trials are left out.") if more else look
 
 
@@ -129,7 +129,7 @@ def matching_example(
     campaign: ResolvedCampaign, folder: RunFolder, run: RunData, scenario: str, label: str
 ) -> NamedFigure | None:
     """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
-    trial = _typical(select(run.table("crater_matches"), scenario, label))
+    trial = _typical(run.of(scenario, label, "crater_matches"))
     again = None if trial is None else recompute(campaign, folder, Case(scenario, label, trial))
     if again is None or again.shown is None:
         return None
