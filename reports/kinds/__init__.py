@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
+from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from typing import cast
@@ -28,6 +29,10 @@ _USUAL = "single-image"
 
 def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
+    return content.grids
+
+
+def _report_grids(content: Content) -> list[Grid]:
     found = report_kind(content.run).tables(content)
     first = (requirement_grid(content.run), swing_grid(content.run))
     return _headed(content.run, (*first, *found, claim_grid(content.claims), failure_grid(content.run)))
@@ -41,6 +46,10 @@ def report_figures(content: Content) -> Iterable[NamedFigure]:
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
+    return content.brief
+
+
+def _brief_grids(content: Content) -> list[Grid]:
     found = report_kind(content.run).brief(content)
     return _headed(content.run, (requirement_grid(content.run), *found, *told_grids(content)))
 
@@ -59,7 +68,7 @@ def _headed(run: RunData, grids: Tables) -> list[Grid]:
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Content:
     """A run and all that is said of it.
 
@@ -74,6 +83,16 @@ class Content:
     compared: tuple[ComparedValue, ...]
     claims: tuple[ComparedClaim, ...]
     notes: tuple[str, ...]
+
+    @cached_property
+    def grids(self) -> list[Grid]:
+        """Tables of the report: see `report_grids`."""
+        return _report_grids(self)
+
+    @cached_property
+    def brief(self) -> list[Grid]:
+        """Tables for the terminal: see `brief_grids`."""
+        return _brief_grids(self)
 
     def table(self) -> pd.DataFrame:
         """All measured numbers, with the published ones if there are any."""

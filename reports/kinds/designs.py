@@ -19,6 +19,7 @@ from boresight.reports.compare.subjects import compared
 from boresight.reports.figures.comparison import Effect, HeatMap, draw_curves, draw_effects, draw_heat_maps
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.style import Points
+from boresight.reports.kinds.pooled import extreme_grid, is_wide, level_grids, pooled_trials
 from boresight.reports.run.clusters import clusters_of, image_set
 from boresight.reports.run.data import GridAxis, RunData, ScenarioGrid
 from boresight.reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
@@ -120,6 +121,24 @@ class DesignData:
                 errors = pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
             self._errors[key] = errors.dropna().astype(float)
         return self._errors[key]
+
+    def pooled(self, names: Sequence[str], outcome: Outcome) -> pd.DataFrame:
+        """Return all trials of an estimator in some scenarios, with their errors and levels; see `pooled_trials`."""
+        tables = {_REPORTED: self.run.table("diagnostics"), "": self.run.rows, SEQUENCE: self.run.rows}
+        tables[CONTROL] = self.run.rows.assign(**{POSITION: self.run.rows[f"prior_{POSITION}"]})
+        rows, errors = (
+            table[(table["estimator"] == outcome.estimator) & table["scenario"].isin(names)]
+            for table in (self.run.rows, tables.get(outcome.stage, self.run.table("stages")))
+        )
+        column = outcome.measure
+        if outcome.stage == _REPORTED:
+            errors, column = errors[errors["name"] == outcome.measure], "value"
+        elif outcome.stage == "":
+            errors = errors[errors["status"] == "ok"]
+        elif outcome.stage not in tables:
+            errors = errors[errors["stage"] == outcome.stage]
+        levels = pd.DataFrame.from_dict({name: [*self.levels(name).values()] for name in names}, orient="index")
+        return pooled_trials(self.run, errors.assign(value=errors[column]), rows, levels)
 
     def trials(self, scenario: str, outcome: Outcome) -> int:
         """Count the trials of a scenario, with and without an estimate."""
@@ -225,6 +244,9 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
 
 def _level_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:
     """Tabulate the median errors at the levels, and their changes from the reference."""
+    if is_wide(data.run):
+        yield from _wide_grids(data, base, names, groups)
+        return
     if data.design.design == "full":
         what, heads, lines = _combinations(data, names)
     else:
@@ -250,6 +272,18 @@ def _level_grids(data: DesignData, base: str, names: list[str], groups: list[lis
         yield Grid(title, tuple(columns), tuple(rows), frozenset(range(len(heads))), note)
         note = ""
     yield _count_grid(data, f"Trials: {what}, {base}", heads, lines, groups)
+
+
+def _wide_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:
+    """Tabulate each measure by the levels of each axis, and the extreme cells of the first measure."""
+    axes = data.design.axes
+    for group in groups:
+        prior = data.priors(names[:1], group[0].estimator) if group[0].measure == POSITION else []
+        tables = [(one.estimator if one in group else CONTROL, data.pooled(names, one)) for one in (*prior, *group)]
+        title = f"{as_title(group[0].label)}, {base}"
+        yield from level_grids(title, tables, axes)
+        if group is groups[0]:
+            yield extreme_grid(title, tables, axes)
 
 
 def _combinations(data: DesignData, names: list[str]) -> tuple[str, tuple[str, ...], list[_Line]]:
@@ -318,6 +352,8 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw what a run's grid shows."""
     design = run.manifest.grid
     if design is None:
+        return
+    if is_wide(run):
         return
     data, found = DesignData(run, design), outcomes(run)
     if kind_schema(run.manifest.experiment).frames:

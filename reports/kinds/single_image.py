@@ -83,6 +83,8 @@ class Cost:
 
 def costs(run: RunData) -> list[Cost]:
     """List the estimators of each scenario in which several are compared and a data base is read, in their order."""
+    if all(product.bytes is None for product in run.manifest.products):
+        return []
     pairs = [pair for pair in run.posed_pairs() if pair[1] != CONTROL]
     found = [_cost(run, *pair) for pair in sorted(pairs, key=lambda pair: run.place_of(pair[1]))]
     shown = []

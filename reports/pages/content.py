@@ -11,6 +11,7 @@ import pandas as pd
 from boresight.reports.compare.subjects import Subject, subject_of
 from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials, trial_numbers
 from boresight.reports.kinds import Content, report_kind
+from boresight.reports.kinds.pooled import WHERE, is_wide
 from boresight.reports.kinds.sequence import without_pooled
 from boresight.reports.published import Comparison, load_published
 from boresight.reports.run.clusters import image_set
@@ -91,6 +92,11 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if comparison is not None:
         yield f"Published values: {comparison.source}. {comparison.conditions}"
         yield f"Bounds of the verdicts: {comparison.bounds}"
+    if is_wide(run):
+        yield (
+            f"The grid has {len(run.manifest.scenarios):,} scenarios and {len(run.pairs()):,} cells of a scenario with"
+            f" an estimator. A page cannot show each: {WHERE}. Figures of single scenarios are left out."
+        )
     absent = [name for name in ("stages", "landmarks", "timings") if run.table(name).empty]
     if posed and absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."

@@ -1,0 +1,106 @@
+"""What a report says of a grid of more cells than a page can show."""
+
+import numpy as np
+import pytest
+from stored_runs import RunBuilder, pose_error
+
+from boresight.reports.kinds import brief_grids, report_figures, report_grids
+from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
+from boresight.reports.pages.build import html_page
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import GridAxis
+
+RANGES, PHASES = tuple(f"{k} km" for k in range(5)), tuple(f"{k} deg" for k in range(6))
+METHODS = tuple(f"method-{k}" for k in range(12))
+TRIALS = 8
+
+
+def size_m(near: int, dark: int, method: int, trial: int) -> float:
+    """Error of a trial: no two cells have the same median."""
+    return 100.0 + 30.0 * near + 6.0 * dark + 0.25 * method + trial
+
+
+def store_wide(folder, ranges=RANGES, phases=PHASES, methods=METHODS, trials=TRIALS):
+    """Store a grid of ranges and phases; the last method fails in the last cell."""
+    builder, scenarios = RunBuilder(folder), []
+    prior = {f"prior_{key}": value for key, value in pose_error(np.array([500.0, 0.0, 0.0]), 2.0).items()}
+    for i, near in enumerate(ranges):
+        for j, dark in enumerate(phases):
+            name = f"rock-{i}-{j}"
+            scenarios.append({"name": name, "base": "rock", "levels": {"range": near, "phase": dark}})
+            for k, method in enumerate(methods):
+                failed = (i, j, k) == (len(ranges) - 1, len(phases) - 1, len(methods) - 1)
+                for trial in range(trials):
+                    errors = pose_error(np.array([size_m(i, j, k, trial), 0.0, 0.0]), 1.0)
+                    errors = dict.fromkeys(errors, np.nan) if failed else errors
+                    key = {"trial": trial, "scenario": name, "estimator": method, "reason": "", "image": ""}
+                    builder.add("rows", **key, status="failed" if failed else "ok", n_landmarks=9, **prior, **errors)
+    axes = [
+        {"name": name, "label": name, "levels": list(levels), "values": None}
+        for name, levels in (("range", ranges), ("phase", phases))
+    ]
+    grid = {"design": "full", "axes": axes, "scenarios": scenarios}
+    specs = {one["name"]: {} for one in scenarios}
+    return builder.write(grid=grid, scenarios=specs, estimators=list(methods), report=None, trials=trials)
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    return read_content(store_wide(tmp_path_factory.mktemp("wide") / "run"))
+
+
+def test_levels_are_pooled_over_the_other_axes(wide):
+    position = [grid for grid in report_grids(wide) if grid.title.startswith("Position")]
+    assert [grid.title.split(", ")[-1] for grid in position] == ["by range", "by phase", "best and worst cells"]
+    by_phase = position[1]
+    assert by_phase.columns == ("estimator", "solved", "success", "all", *PHASES)
+    assert [row[0] for row in by_phase.rows] == ["prior", *METHODS]
+    sizes = [size_m(i, 2, 3, trial) for i in range(len(RANGES)) for trial in range(TRIALS)]
+    assert by_phase.rows[4][6].split(" [")[0] == f"{np.median(sizes):.0f}"
+    n = len(RANGES) * len(PHASES) * TRIALS
+    assert by_phase.rows[4][1:3] == (f"{n}/{n}", f"{n}/{n}")
+    assert by_phase.rows[12][1] == f"{n - TRIALS}/{n}", "of the last method a cell has failed"
+    assert by_phase.rows[12][-1].endswith(f" of the {4 * TRIALS} that ended")
+    assert "table.csv" in position[0].note
+
+
+def test_the_extreme_cells_are_in_full(wide):
+    (grid,) = (one for one in report_grids(wide) if one.title.endswith("best and worst cells"))
+    assert len(grid.rows) == 2 * EXTREMES
+    assert [row[:4] for row in grid.rows[:2]] == [("best", "0 km", "0 deg", f"method-{k}") for k in (0, 1)]
+    worst = grid.rows[EXTREMES]
+    assert worst == ("worst", "4 km", "5 deg", "method-11", f"0/{TRIALS}", "-", "-"), (
+        "a failure is worse than any error"
+    )
+    assert grid.rows[EXTREMES + 1][3:] == (
+        "method-10", f"{TRIALS}/{TRIALS}", grid.rows[EXTREMES + 1][5], f"{size_m(4, 5, 10, TRIALS - 1):.0f}",
+    )  # fmt: skip
+
+
+def test_the_page_stays_short_and_says_where_all_cells_are(wide):
+    assert list(report_figures(wide)) == []
+    assert max(len(grid.rows) for grid in (*report_grids(wide), *brief_grids(wide))) <= 2 * EXTREMES
+    page = html_page(wide, [])
+    assert "30 scenarios and 360 cells" in page
+    assert "every cell is in table.csv" in page
+    medians = wide.table().query("stage == 'final' and measure == 'position_error_m' and statistic == 'median'")
+    assert len(medians) == 360
+
+
+def test_comparisons_grow_with_the_number_of_estimators_alone(wide):
+    paired = wide.table().query("stage == 'paired' and statistic == 'median' and measure == 'position_difference_m'")
+    assert len(paired) == 30 * (len(METHODS) - 1)
+    assert set(paired["reference"]) == {"method-0"}
+
+
+def test_an_axis_shows_a_dozen_levels_with_both_ends():
+    shown = shown_levels(GridAxis(name="x", label="x", levels=tuple(map(str, range(100)))))
+    assert len(shown) == MOST_LEVELS
+    assert (shown[0], shown[-1]) == ("0", "99")
+    assert shown_levels(GridAxis(name="x", label="x", levels=("a", "b"))) == ("a", "b")
+
+
+def test_a_grid_that_a_page_can_show_has_every_cell(tmp_path):
+    content = read_content(store_wide(tmp_path / "run", RANGES[:2], PHASES[:2], METHODS[:3], 3))
+    assert [len(grid.rows) for grid in report_grids(content)][:2] == [4, 4]
+    assert not any("cells of a scenario" in note for note in content.notes)
