@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -94,14 +95,16 @@ class Content:
         """Tables for the terminal: see `brief_grids`."""
         return _brief_grids(self)
 
-    def table(self) -> pd.DataFrame:
-        """All measured numbers, with the published ones if there are any."""
+    def table(self, records: Sequence[Record] | None = None) -> pd.DataFrame:
+        """All measured numbers, or those of some of the records, with the published ones if there are any."""
         beside = {
             id(c.ours): (c.published.value, c.published.tolerance, c.verdict, c.published.place)
             for c in self.compared
             if c.ours is not None
         }
-        lines = [(*astuple(record), *beside.get(id(record), (None, None, "", ""))) for record in self.records]
+        own = operator.attrgetter(*(field.name for field in fields(Record)))
+        records = self.records if records is None else records
+        lines = [(*own(record), *beside.get(id(record), (None, None, "", ""))) for record in records]
         return pd.DataFrame(lines, columns=[field.name for field in fields(Record)] + _BESIDE)
 
 

@@ -39,6 +39,8 @@ _NOTE = (
     " prior: the median of the same error of the priors."
 )
 _THUMB_PX = 200
+_BLOCK = 200_000
+"""Records that are written at a time, to bound the memory."""
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
@@ -205,13 +207,15 @@ def write_report(
 
 def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kinds: Sequence[str]) -> list[str]:
     """Write all files into ``folder`` and list their names; the page is last, so that it never shows missing files."""
-    table, rows = content.table(), content.run.rows
-    timed = table["measure"] == "seconds"
+    rows = content.run.rows
     failures = rows.loc[rows["status"] != "ok", ["trial", "scenario", "estimator", "status", "reason"]]
-    frames = {"table.csv": table[~timed], "timings.csv": table[timed], "failures.csv": failures}
-    for name, frame in frames.items():
-        frame.to_csv(folder / name, index=False, lineterminator="\n")
-    names = list(frames)
+    failures.to_csv(folder / "failures.csv", index=False, lineterminator="\n")
+    for first in range(0, max(len(content.records), 1), _BLOCK):
+        table = content.table(content.records[first : first + _BLOCK])
+        timed = table["measure"] == "seconds"
+        for name, frame in (("table.csv", table[~timed]), ("timings.csv", table[timed])):
+            frame.to_csv(folder / name, mode="a", header=first == 0, index=False, lineterminator="\n")
+    names = ["table.csv", "timings.csv", "failures.csv"]
     figures = [*(with_trial_counts(figure, [content.run]) for figure in report_figures(content)), *extra]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
     if twice:

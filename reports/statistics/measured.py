@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np
@@ -26,6 +27,7 @@ from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.intervals import has_quantile, interval_of_sums, quantile_interval, wilson
 from boresight.scenarios.arrays import FloatArray
 
+_FEW_VALUES = 100
 WORST = 1e150
 """Error assigned to a failure: above every error, and its square does not overflow."""
 
@@ -97,7 +99,20 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
     """
     if len(values) == 0:
         return [Measured(None) for _ in statistics]
-    codes, found = np.unique(clusters, return_inverse=True)[1], []
+    numbers, codes = np.asarray(values, dtype=np.float64), np.unique(clusters, return_inverse=True)[1]
+    if len(numbers) > _FEW_VALUES:
+        return _measure(numbers, codes, tuple(statistics))
+    return list(_measured_before(numbers.tobytes(), codes.astype(np.int64).tobytes(), tuple(statistics)))
+
+
+@lru_cache(maxsize=4096)
+def _measured_before(values: bytes, codes: bytes, statistics: tuple[Statistic, ...]) -> list[Measured]:
+    """Measure values that may have been measured before: a scenario's prior is that of all its estimators."""
+    return _measure(np.frombuffer(values), np.frombuffer(codes, dtype=np.int64), statistics)
+
+
+def _measure(values: FloatArray, codes: NDArray[np.integer], statistics: tuple[Statistic, ...]) -> list[Measured]:
+    found = []
     for statistic in statistics:
         powers = values**statistic.power
         if statistic.quantile is None:
@@ -272,10 +287,9 @@ def pose_measures(run: RunData) -> Iterator[Record]:
         rows = run.of(scenario, estimator)
         stages = errors_by_stage(run, scenario, estimator)
         if estimator != CONTROL:
-            ok = (rows["status"] == "ok").to_numpy()
-            stages[FAILURES_AT_PRIOR] = rows.assign(
-                **{name: np.where(ok, rows[name], rows[f"prior_{name}"]) for name in POSE_COLUMNS}
-            )
+            ok, prior = (rows["status"] == "ok").to_numpy(), stages[CONTROL]
+            at_prior = {name: np.where(ok, rows[name].to_numpy(), prior[name].to_numpy()) for name in POSE_COLUMNS}
+            stages[FAILURES_AT_PRIOR] = pd.DataFrame({"estimator": estimator, "trial": prior["trial"], **at_prior})
         for stage, errors in stages.items():
             sample = Sample(scenario, estimator, stage, len(rows))
             yield from _pose_records(run, sample, errors.assign(scenario=scenario))
@@ -358,6 +372,8 @@ def database_measures(run: RunData) -> Iterator[Record]:
 
 def diagnostic_measures(run: RunData) -> Iterator[Record]:
     """Measure each number that an estimator reports of its trials, under the stage ``diagnostics``."""
+    if run.table("diagnostics").empty:
+        return
     for group, members in groups(run):
         own = run.table("diagnostics")[run.table("diagnostics")["scenario"].isin(members)]
         for (estimator, name), table in own.groupby(["estimator", "name"], sort=False):
@@ -368,10 +384,13 @@ def diagnostic_measures(run: RunData) -> Iterator[Record]:
 
 def timing_measures(run: RunData) -> Iterator[Record]:
     """Measure the wall time of each stage of a trial; n_ok counts the trials that have a time of it."""
+    keys = ["scenario", "estimator", "stage", "trial"]
+    totals = run.table("timings").groupby(keys, sort=False, as_index=False)["seconds"].sum()
+    places = totals.groupby("scenario", sort=False).indices
+    counted = run.rows.groupby(["scenario", "estimator"], sort=False).size()
     for group, members in groups(run):
-        own = run.table("timings")[run.table("timings")["scenario"].isin(members)]
-        rows = run.rows.loc[run.rows["scenario"].isin(members), "estimator"].value_counts()
-        for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
-            total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
+        own = totals.iloc[np.sort(np.concatenate([places.get(name, []) for name in members]).astype(int))]
+        rows = counted.loc[list(members)].groupby("estimator").sum()
+        for (estimator, stage), total in own.groupby(["estimator", "stage"], sort=False):
             sample = Sample(group, str(estimator), str(stage), int(rows.get(estimator, len(total))))
             yield from sample.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
