@@ -23,6 +23,7 @@ from boresight.scenarios.reading import held_to, plain_json, unreadable
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _NOT_REPORTED = ("said", "tracebacks")
+_SOLVED = "solved"
 TRIAL_KEY = ["scenario", "estimator", "trial"]
 """Columns that identify a row: one trial of one method."""
 
@@ -205,14 +206,22 @@ class RunData:
 
     def of(self, scenario: str, estimator: str, name: str = "rows") -> pd.DataFrame:
         """Return the lines of one scenario and estimator in a table of the run, in their order; see `table`."""
-        whole = self.table(name)
-        if name not in self._places:
-            self._places[name] = whole.groupby(["scenario", "estimator"], sort=False).indices
-        return whole.iloc[self._places[name].get((scenario, estimator), [])]
+        if name not in self._grouped:
+            whole = self.table(name)
+            self._grouped[name] = whole, whole.groupby(["scenario", "estimator"], sort=False).indices
+        whole, places = self._grouped[name]
+        return whole.iloc[places.get((scenario, estimator), [])]
+
+    def solved(self, scenario: str, estimator: str) -> pd.DataFrame:
+        """Return the rows of one scenario and estimator with an estimate."""
+        if _SOLVED not in self._grouped:
+            whole = self.rows[self.rows["status"] == "ok"]
+            self._grouped[_SOLVED] = whole, whole.groupby(["scenario", "estimator"], sort=False).indices
+        return self.of(scenario, estimator, _SOLVED)
 
     @cached_property
-    def _places(self) -> dict[str, Mapping[Any, Any]]:
-        """Numbers of the lines by table, and by scenario and estimator: grouped once, as a run may have many."""
+    def _grouped(self) -> dict[str, tuple[pd.DataFrame, Mapping[Any, Any]]]:
+        """Tables, and the numbers of their lines by scenario and estimator: grouped once, as a run may have many."""
         return {}
 
     @cached_property

@@ -90,14 +90,14 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
     those that are ok.
     """
     rows = run.of(scenario, estimator)
-    prior = rows[["trial"]].assign(**{name: rows[f"prior_{name}"] for name in POSE_COLUMNS})
+    columns = ["trial", *POSE_COLUMNS]
+    prior = rows[["trial", *(f"prior_{name}" for name in POSE_COLUMNS)]].set_axis(columns, axis=1)
     stages = run.of(scenario, estimator, "stages")
     last = final_stage(run, scenario, estimator)
     between = [name for name in stages["stage"].unique() if name not in (CONTROL, last)]
-    columns = ["trial", *POSE_COLUMNS]
     found = {CONTROL: prior} | {name: stages.loc[stages["stage"] == name, columns] for name in between}
     if estimator != CONTROL:
-        found[last] = rows.loc[rows["status"] == "ok", columns]
+        found[last] = run.solved(scenario, estimator)[columns]
     return found
 
 

@@ -156,7 +156,7 @@ def consistency_records(run: RunData) -> list[Record]:
                 found = errors.test(clusters_of(run, errors.table))
                 records += [sample.record(kind.name, name, part, len(errors.table)) for name, part in found.items()]
         if (scenario, estimator) in posed:
-            records += _ratio_records(run, sample, own[own["status"] == "ok"])
+            records += _ratio_records(run, sample, run.solved(scenario, estimator))
     return records
 
 
@@ -164,7 +164,7 @@ def _ratio_records(run: RunData, sample: Sample, rows: pd.DataFrame) -> Iterator
     """Compare the pose errors of solved trials with what covariances and bounds foretell."""
     clusters = clusters_of(run, rows)
     for name, columns in _RATIOS.items():
-        pair = rows[[*columns]].to_numpy(dtype=np.float64)
+        pair = np.column_stack([rows[column].to_numpy(dtype=np.float64) for column in columns])
         # A prior without error predicts a zero RMS, over which no ratio exists.
         known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
         if known.any():

@@ -321,9 +321,9 @@ def improvement_measures(run: RunData) -> Iterator[Record]:
 
     Against the truth, and for real images against each further reference pose as well.
     """
-    for sample, rows in _final_samples(run, (pair for pair in run.posed_pairs() if pair[1] != CONTROL)):
-        ok = rows[rows["status"] == "ok"]
-        prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
+    for sample, _ in _final_samples(run, (pair for pair in run.posed_pairs() if pair[1] != CONTROL)):
+        ok = run.solved(sample.scenario, sample.estimator)
+        prior = ok[["trial"]].assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
         yield from _reductions(run, sample, prior, ok)
         mine, control = (run.of(sample.scenario, name, "references") for name in (sample.estimator, CONTROL))
         for reference in sorted(set(mine["reference"]) - {run.truth_name(sample.scenario)}):
@@ -342,8 +342,8 @@ def _reductions(run: RunData, sample: Sample, before: pd.DataFrame, after: pd.Da
 def landmark_measures(run: RunData) -> Iterator[Record]:
     """Measure the number of landmarks an image, and the error of each recognised landmark."""
     for sample, rows in _final_samples(run, (pair for pair in run.pairs() if pair[1] != CONTROL)):
-        ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
-        if (ok["n_landmarks"] > 0).any():
+        if (run.solved(sample.scenario, sample.estimator)["n_landmarks"].to_numpy() > 0).any():
+            ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
             yield from sample.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
             yield sample.share("four_landmarks_share", enough, clusters_of(run, rows))

@@ -8,6 +8,7 @@ equal chance; the noise realisations of one real image count as one, by the sign
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -83,9 +84,12 @@ def paired_records(run: RunData) -> list[Record]:
         of_first = run.of(scenario, first).set_index("trial", drop=False)
         for name in others:
             rows = run.of(scenario, name).set_index("trial", drop=False)
-            trials = rows.index.intersection(of_first.index)
-            sample = Sample(scenario, name, PAIRED, len(trials), first)
-            records += _pair_records(run, sample, rows.loc[trials], of_first.loc[trials])
+            base = of_first
+            if not rows.index.equals(base.index):
+                trials = rows.index.intersection(base.index)
+                rows, base = rows.loc[trials], base.loc[trials]
+            sample = Sample(scenario, name, PAIRED, len(rows), first)
+            records += _pair_records(run, sample, rows, base)
     return records
 
 
@@ -121,7 +125,9 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
     """
     if 1 < len(np.unique(clusters)) < min(_LEAST_SIGNS, len(difference)):
         return _share_test(difference, clusters)
-    signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy() if len(difference) else difference
+    signs = difference  # of clusters of one trial each
+    if len(np.unique(clusters)) < len(difference):
+        signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy()
     better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
     if not decided:
         return Measured(None), Measured(None), 0
@@ -129,6 +135,7 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
     return Measured(better / decided, *wilson(better, decided)), Measured(chance), decided
 
 
+@lru_cache(maxsize=1024)
 def _sign_chance(better: int, decided: int) -> float:
     """Return p of the exact two-sided sign test."""
     # Imported here, as it takes 1 s, and runs of one method need none of it.

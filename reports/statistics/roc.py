@@ -69,8 +69,7 @@ class OutlierScore:
 def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
     """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
     for scenario, estimator in run.posed_pairs():
-        rows = run.of(scenario, estimator)
-        rows = rows[rows["status"] == "ok"]
+        rows = run.solved(scenario, estimator)
         if estimator == CONTROL or rows.empty:
             continue
         error = rows["position_error_m"].to_numpy()
@@ -78,6 +77,8 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
             ABOVE_PRIOR: error > rows["prior_position_error_m"].to_numpy(),
             ABOVE_MEDIANS: error > 3.0 * np.median(error),
         }
+        if run.table("diagnostics").empty:
+            return
         numbers, clusters = run.of(scenario, estimator, "diagnostics"), clusters_of(run, rows)
         for name in numbers["name"].unique():
             by_trial = numbers[numbers["name"] == name].set_index("trial")["value"]
