@@ -247,7 +247,8 @@ class RunComparison:
 
     def of(self, subject: Subject) -> pd.DataFrame:
         """Trials of a subject."""
-        return self.trials.iloc[self._places[subject.names]]
+        own: pd.DataFrame = self.trials.iloc[self._places[subject.names]]
+        return own
 
     @cached_property
     def _places(self) -> Mapping[tuple[Any, ...], Any]:

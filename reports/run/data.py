@@ -210,7 +210,8 @@ class RunData:
             whole = self.table(name)
             self._grouped[name] = whole, whole.groupby(["scenario", "estimator"], sort=False).indices
         whole, places = self._grouped[name]
-        return whole.iloc[places.get((scenario, estimator), [])]
+        lines: pd.DataFrame = whole.iloc[places.get((scenario, estimator), [])]
+        return lines
 
     def solved(self, scenario: str, estimator: str) -> pd.DataFrame:
         """Return the rows of one scenario and estimator with an estimate."""

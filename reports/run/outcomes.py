@@ -51,7 +51,7 @@ def unsolved_lines(run: RunData) -> list[str]:
     failed, _ = unsolved(run)
     lines = []
     for (scenario, estimator), rows in failed.groupby(["scenario", "estimator"], sort=False):
-        n = len(run.of(scenario, estimator))
+        n = len(run.of(str(scenario), str(estimator)))
         if len(rows) == n:
             reasons = [
                 f"{int(count):,} {shortened(reason, _MOST_CHARACTERS)}" for reason, count in tally(rows, ["reason"])

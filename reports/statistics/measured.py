@@ -385,7 +385,7 @@ def diagnostic_measures(run: RunData) -> Iterator[Record]:
 def timing_measures(run: RunData) -> Iterator[Record]:
     """Measure the wall time of each stage of a trial; n_ok counts the trials that have a time of it."""
     keys = ["scenario", "estimator", "stage", "trial"]
-    totals = run.table("timings").groupby(keys, sort=False, as_index=False)["seconds"].sum()
+    totals = run.table("timings").groupby(keys, sort=False)[["seconds"]].sum().reset_index()
     places = totals.groupby("scenario", sort=False).indices
     counted = run.rows.groupby(["scenario", "estimator"], sort=False).size()
     for group, members in groups(run):

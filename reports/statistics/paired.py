@@ -125,7 +125,7 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
     """
     if 1 < len(np.unique(clusters)) < min(_LEAST_SIGNS, len(difference)):
         return _share_test(difference, clusters)
-    signs = difference  # of clusters of one trial each
+    signs: NDArray[np.floating] = difference  # of clusters of one trial each
     if len(np.unique(clusters)) < len(difference):
         signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy()
     better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
