@@ -50,8 +50,8 @@ from boresight.reports.statistics.measured import (
 from boresight.reports.statistics.paired import rate_difference, sign_test
 from boresight.scenarios.errors import BoresightError
 
-MOST_PAIRED = 8
-"""Levels of a factor up to which each is compared with each other; of more, each with the first."""
+MOST_PAIRS = 5_000
+"""Pairs up to which all subjects that differ in one factor are compared; of more, each with the first of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,19 +331,26 @@ def compared(
 def one_factor_apart(subjects: Sequence[Subject]) -> list[tuple[Subject, Subject]]:
     """List the pairs of subjects that differ in one factor alone, without the control, which estimates nothing.
 
-    Of more than `MOST_PAIRED` subjects that differ in a factor, each is paired with the first of them alone.
+    Where there are more than `MOST_PAIRS`, each is paired with the first alone of those that differ in that factor.
     """
+    alike = _alike(subjects)
+    shown = 1 if has_too_many_pairs(subjects) else None
+    pairs = [(second, first) for places in alike for second in places[:shown] for first in places if first > second]
+    return [(subjects[first], subjects[second]) for second, first in sorted(pairs)]
+
+
+def has_too_many_pairs(subjects: Sequence[Subject]) -> bool:
+    """Return whether more than `MOST_PAIRS` pairs of subjects differ in one factor alone."""
+    return sum(len(places) * (len(places) - 1) // 2 for places in _alike(subjects)) > MOST_PAIRS
+
+
+def _alike(subjects: Sequence[Subject]) -> list[list[int]]:
+    """Group the numbers of subjects that differ in one factor alone, by that factor; the control is left out."""
     alike: dict[tuple[int, tuple[str, ...]], list[int]] = {}
     for place, one in enumerate(subjects):
         for k in range(len(one.names)) if one.estimator != CONTROL else ():
             alike.setdefault((k, one.names[:k] + one.names[k + 1 :]), []).append(place)
-    pairs = [
-        pair
-        for places in alike.values()
-        for second in (places if len(places) <= MOST_PAIRED else places[:1])
-        for pair in ((second, first) for first in places if first > second)
-    ]
-    return [(subjects[first], subjects[second]) for second, first in sorted(pairs)]
+    return list(alike.values())
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:

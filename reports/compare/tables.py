@@ -10,11 +10,12 @@ from dataclasses import asdict, replace
 import pandas as pd
 
 from boresight.reports.compare.subjects import (
-    MOST_PAIRED,
+    MOST_PAIRS,
     STATISTICS,
     Contrast,
     RunComparison,
     Subject,
+    has_too_many_pairs,
     one_factor_apart,
 )
 from boresight.reports.compare.trials import (
@@ -142,11 +143,9 @@ def pooled_lines(found: RunComparison) -> str:
 
 
 def first_alone(found: RunComparison) -> str:
-    """Say of which factors each level is compared with the first alone; '' if of none."""
-    levels = {factor: {one.names[k] for one in found.subjects} for k, factor in enumerate(found.factors)}
-    counted = {factor: len(own - {CONTROL}) for factor, own in levels.items()}
-    many = [count_of(n, factor) for factor, n in counted.items() if n > MOST_PAIRED]
-    return f"Of {' and '.join(many)} each is compared with the first alone." if many else ""
+    """Say that each line is compared with the first alone; '' if with all."""
+    many = f"More than {MOST_PAIRS:,} pairs: of lines that differ in one factor each is compared with the first alone."
+    return many if has_too_many_pairs(found.subjects) else ""
 
 
 def counted_tests(found: RunComparison) -> str:
