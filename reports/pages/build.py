@@ -9,6 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from urllib.parse import quote
 
@@ -40,6 +41,7 @@ _NOTE = (
 )
 _THUMB_PX = 200
 _BLOCK = 200_000
+_MOST_SCENARIOS = 12  # whose keys stand on a page
 """Records that are written at a time, to bound the memory."""
 
 
@@ -77,11 +79,18 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
         grids=shown[first:],
         figures=list(embedded.items()),
         resolved={
-            "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
+            "scenarios": _resolved(manifest.scenarios),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
         },
         command=reproduce_command(content),
     )
+
+
+def _resolved(scenarios: Mapping[str, object]) -> str:
+    few = dict(islice(scenarios.items(), _MOST_SCENARIOS))
+    left = len(scenarios) - len(few)
+    more = f"\n{count_of(left, 'further scenario')}: manifest.json of the run" if left else ""
+    return json.dumps(few, indent=2, ensure_ascii=False) + more
 
 
 def _leads(figures: Sequence[NamedFigure]) -> list[NamedFigure]:

@@ -24,6 +24,7 @@ _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 _TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
 _MOST_LINES = 5
+_MOST_UNSOLVED = 20
 _MOST_CHARACTERS = 110
 
 
@@ -47,7 +48,7 @@ def tally(failed: pd.DataFrame, keys: list[str]) -> list[tuple[str, ...]]:
 
 
 def unsolved_lines(run: RunData) -> list[str]:
-    """Return a line for each method that solved no trial of a scenario, with its reasons counted."""
+    """Return a line for each method that solved no trial of a scenario, with its reasons counted; of many the first."""
     failed, _ = unsolved(run)
     lines = []
     for (scenario, estimator), rows in failed.groupby(["scenario", "estimator"], sort=False):
@@ -58,7 +59,8 @@ def unsolved_lines(run: RunData) -> list[str]:
             ]
             more = "" if len(reasons) <= _MOST_LINES else f"; and {count_of(len(reasons) - _MOST_LINES, 'more reason')}"
             lines.append(f"{estimator} solved 0 of {n:,} of {scenario}: {'; '.join(reasons[:_MOST_LINES])}{more}")
-    return lines
+    rest = len(lines) - _MOST_UNSOLVED
+    return [*lines[:_MOST_UNSOLVED], f"and {count_of(rest, 'more method')} in a scenario"] if rest > 0 else lines
 
 
 def reason_lines(run: RunData) -> list[str]:

@@ -189,7 +189,7 @@ def test_a_column_of_text_without_a_word_is_printed():
     assert any(line.split() == ["camera.fov_deg", "0.50"] for line in printed_lines([grid]))
 
 
-def test_a_method_that_solved_nothing_is_said_with_its_reasons_in_report_and_console(builder):
+def test_a_method_that_solved_nothing_is_said_with_its_reasons_in_report_and_console(builder, monkeypatch):
     for trial, reason in enumerate(("no landmarks in view",) * 3 + ("the image is black",)):
         builder.trial(trial, ([10, 0, 0], 1), None, reason=reason)
     run = read_run(builder.write())
@@ -197,5 +197,7 @@ def test_a_method_that_solved_nothing_is_said_with_its_reasons_in_report_and_con
     assert line.startswith("landmark-harris solved 0 of 4 of ")
     assert line.endswith(": 3 no landmarks in view; 1 the image is black")
     assert line in list(notes(run, None))
+    monkeypatch.setattr("boresight.reports.run.outcomes._MOST_UNSOLVED", 0)
+    assert unsolved_lines(run) == ["and 1 more method in a scenario"]
     builder.trial(4, ([10, 0, 0], 1), ([1, 0, 0], 1))
     assert unsolved_lines(read_run(builder.write())) == []

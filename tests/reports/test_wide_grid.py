@@ -83,6 +83,9 @@ def test_the_page_stays_short_and_says_where_all_cells_are(wide):
     page = html_page(wide, [])
     assert "30 scenarios and 360 cells" in page
     assert "every cell is in table.csv" in page
+    assert "18 further scenarios: manifest.json" in page
+    assert "rock-1-5" in page
+    assert "rock-2-0" not in page
     medians = wide.table().query("stage == 'final' and measure == 'position_error_m' and statistic == 'median'")
     assert len(medians) == 360
 
