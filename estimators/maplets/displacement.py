@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from boresight.estimators.landmark.signal import MAD_TO_SIGMA
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image
 
 _REWEIGHTINGS = 5
 _TUKEY = 2.5
-_MAD_TO_SIGMA = 1.4826
 _LEAST_PIXELS = 60
 
 # Second-order polynomial through 3 x 3 values by least squares: rows give 1, x, y, x^2, xy, y^2.
@@ -162,7 +162,7 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
             return None
         solution = np.asarray(np.linalg.solve(normal, weighted.T @ observed), dtype=np.float64)
         residual = observed - design @ solution
-        sigma = _MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
+        sigma = MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
         # Tukey's biweight: pixels beyond 2.5 sigma, as of shadows that the shape does not resolve, have no weight at
         # all.
         weights = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2

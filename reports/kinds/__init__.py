@@ -33,12 +33,6 @@ def report_grids(content: Content) -> list[Grid]:
     return content.grids
 
 
-def _report_grids(content: Content) -> list[Grid]:
-    found = report_kind(content.run).tables(content)
-    first = (requirement_grid(content.run), swing_grid(content.run))
-    return _headed(content.run, (*first, *found, claim_grid(content.claims), failure_grid(content.run)))
-
-
 def report_figures(content: Content) -> Iterable[NamedFigure]:
     """List the figures of a report, in order."""
     yield from requirement_figures(content.run)
@@ -48,11 +42,6 @@ def report_figures(content: Content) -> Iterable[NamedFigure]:
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
     return content.brief
-
-
-def _brief_grids(content: Content) -> list[Grid]:
-    found = report_kind(content.run).brief(content)
-    return _headed(content.run, (requirement_grid(content.run), *found, *told_grids(content)))
 
 
 def told_grids(content: Content) -> list[Grid]:
@@ -88,12 +77,15 @@ class Content:
     @cached_property
     def grids(self) -> list[Grid]:
         """Tables of the report: see `report_grids`."""
-        return _report_grids(self)
+        found = report_kind(self.run).tables(self)
+        first = (requirement_grid(self.run), swing_grid(self.run))
+        return _headed(self.run, (*first, *found, claim_grid(self.claims), failure_grid(self.run)))
 
     @cached_property
     def brief(self) -> list[Grid]:
         """Tables for the terminal: see `brief_grids`."""
-        return _brief_grids(self)
+        found = report_kind(self.run).brief(self)
+        return _headed(self.run, (requirement_grid(self.run), *found, *told_grids(self)))
 
     def table(self, records: Sequence[Record] | None = None) -> pd.DataFrame:
         """All measured numbers, or those of some of the records, with the published ones if there are any."""

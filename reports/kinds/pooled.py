@@ -27,7 +27,7 @@ WHERE = "every cell is in table.csv, beside this page"
 
 
 def is_wide(run: RunData) -> bool:
-    """Whether a grid of all combinations has too many cells to show each."""
+    """Return whether a grid of all combinations has too many cells to show each."""
     grid = run.manifest.grid
     return grid is not None and grid.design == "full" and len(run.pairs()) > MOST_CELLS
 

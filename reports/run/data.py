@@ -265,11 +265,6 @@ def value_at(spec: Mapping[str, Any], key: str, missing: object = None) -> objec
     return value
 
 
-def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
-    """Rows of one scenario and estimator."""
-    return table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
-
-
 def in_order_of(rows: pd.DataFrame, table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
     """Return columns of numbers of a detail table in the order and with the index of rows; NaN where a row has none.
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom, binomtest, ttest_1samp
 
 from boresight.reports.pages.build import write_report
-from boresight.reports.run.data import read_run, select
+from boresight.reports.run.data import read_run
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.statistics.measured import MEDIAN
 from boresight.reports.statistics.paired import (
@@ -97,7 +97,7 @@ def test_failures_count_missing_and_worse_solutions(builder):
     base = [error(20, 1), error(50, 1), None, error(39, 1)]
     other = [error(20, 1), error(20, 1), None, error(41, 1)]
     run = fill(builder, base, other)
-    np.testing.assert_array_equal(succeeded(select(run.rows, "itokawa", "base")), [True, False, False, True])
+    np.testing.assert_array_equal(succeeded(run.of("itokawa", "base")), [True, False, False, True])
     found = by_key(run)
     assert found[FAILURE_RATE, OWN].value == 0.5
     assert found[FAILURE_RATE, THEIRS].value == 0.5

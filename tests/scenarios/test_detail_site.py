@@ -46,7 +46,10 @@ def centre_of(mesh):
 def test_refined_facets_are_closed_flat_and_not_thin():
     mesh = EMBEDDED["sphere"]()
     centre = centre_of(mesh)
-    near = lambda corners, reach: np.linalg.norm(corners.mean(axis=1) - centre, axis=1) < 30.0 + reach  # noqa: E731
+
+    def near(corners, reach):
+        return np.linalg.norm(corners.mean(axis=1) - centre, axis=1) < 30.0 + reach
+
     before = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     points, faces = refine_where(np.asarray(mesh.vertices_m), np.asarray(mesh.faces), 0.7, near)
     after = trimesh.Trimesh(points, faces, process=False)

@@ -48,7 +48,6 @@ from boresight.reports.figures.recognition import (
     draw_pose_renderings,
 )
 from boresight.reports.pages.view3d import PointSet, View3D
-from boresight.reports.run.data import select
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
@@ -285,7 +284,7 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> MatchedLandmarks
 def look_at_images(scene: EstimatorRun) -> View3D:
     """Show the landmarks of the first data base and the cameras of all its trials."""
     run, experiment = scene.run, cast("SingleImage", scene.opened())
-    tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
+    tables = (run.of(scene.scenario, scene.label, name) for name in ("rows", "landmarks"))
     rows, recognised = (table[table["trial"] % scene.campaign.spec.databases == 0] for table in tables)
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
     body = coarsened(experiment.world.body.mesh)
