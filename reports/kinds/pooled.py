@@ -1,35 +1,62 @@
 """Tables of a grid of more cells than a page can show: estimators at each level of each axis, and the extreme cells.
 
 A cell is a scenario with an estimator. A level is pooled over the other axes; its trials, which are the same views and
-priors in every scenario, are the independent units. All cells are in ``table.csv``.
+priors in every scenario, are the independent units. All cells are in ``table.csv``: of very many, their last errors and
+success alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import GridAxis, RunData
-from boresight.reports.run.outcomes import MEANING, succeeded
+from boresight.reports.run.outcomes import MEANING, final_stage, succeeded
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, of_ended
-from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.measured import MEDIAN, measure
+from boresight.reports.schema.records import CONTROL, Record
+from boresight.reports.statistics.measured import MEDIAN, P95, Sample, measure
 from boresight.reports.tables import interval
 
 MOST_CELLS = 200
 """Scenarios times estimators of a grid up to which a page has every cell."""
+MOST_MEASURED = 5_000
+"""Scenarios times estimators of a grid up to which ``table.csv`` has every statistic of every stage."""
 MOST_LEVELS = 12
 EXTREMES = 10
 WHERE = "every cell is in table.csv, beside this page"
+ONLY_ERRORS = (
+    " Of so many cells it has the success and both errors at the last stage alone; all else is in the rows of the run."
+)
 
 
 def is_wide(run: RunData) -> bool:
     """Return whether a grid of all combinations has too many cells to show each."""
     grid = run.manifest.grid
     return grid is not None and grid.design == "full" and len(run.pairs()) > MOST_CELLS
+
+
+def is_huge(run: RunData) -> bool:
+    """Return whether a grid of poses has too many cells to measure each in full: the table would be of gigabytes."""
+    return is_wide(run) and len(run.posed_pairs()) > MOST_MEASURED
+
+
+def cell_records(run: RunData) -> Iterator[Record]:
+    """Measure of each cell its success, and the medians and 95th percentiles of both errors at its last stage."""
+    rows, clusters, good = run.rows, clusters_of(run, run.rows), succeeded(run.rows)
+    errors = {name: rows[name].where(rows["status"] == "ok").to_numpy(np.float64) for name in POSE_COLUMNS[:2]}
+    cells: dict[Any, Any] = rows.groupby(["scenario", "estimator"], sort=False).indices
+    for (scenario, estimator), own in cells.items():
+        stage = CONTROL if estimator == CONTROL else final_stage(run, scenario, estimator)
+        sample = Sample(scenario, estimator, stage, len(own))
+        for name, values in errors.items():
+            yield from sample.records(name, values[own], clusters[own], (MEDIAN, P95))
+        if estimator != CONTROL:
+            yield sample.share("success_share", good[own], clusters[own])
 
 
 def level_grids(title: str, tables: Sequence[tuple[str, pd.DataFrame]], axes: Sequence[GridAxis]) -> Iterator[Grid]:

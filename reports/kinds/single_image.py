@@ -22,6 +22,7 @@ from boresight.reports.figures.pose import (
 )
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_figures, design_grids
+from boresight.reports.kinds.pooled import is_wide
 from boresight.reports.kinds.ranges import range_figures
 from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
@@ -459,8 +460,9 @@ def tables(content: Content) -> Tables:
     """List the tables of single images, or of the grid that their scenarios are."""
     measured, run = content.records, content.run
     if run.manifest.grid is not None:
-        # The names of the runs of a two-level design do not say their levels.
-        return [*design_grids(run), *([] if run.manifest.grid.design == "two-level" else [trade_grid(run)])]
+        # The names of the runs of a two-level design do not say their levels, and of a wide grid there are too many.
+        costly = run.manifest.grid.design == "two-level" or is_wide(run)
+        return [*design_grids(run), *([] if costly else [trade_grid(run)])]
     return (
         *pose_grids(measured, run),
         reference_grid(measured, run),

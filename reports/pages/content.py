@@ -11,7 +11,7 @@ import pandas as pd
 from boresight.reports.compare.subjects import Subject, subject_of
 from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials, trial_numbers
 from boresight.reports.kinds import Content, report_kind
-from boresight.reports.kinds.pooled import WHERE, is_wide
+from boresight.reports.kinds.pooled import ONLY_ERRORS, WHERE, cell_records, is_huge, is_wide
 from boresight.reports.kinds.sequence import without_pooled
 from boresight.reports.published import Comparison, load_published
 from boresight.reports.run.clusters import image_set
@@ -96,6 +96,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         yield (
             f"The grid has {len(run.manifest.scenarios):,} scenarios and {len(run.pairs()):,} cells of a scenario with"
             f" an estimator. A page cannot show each: {WHERE}. Figures of single scenarios are left out."
+            f"{ONLY_ERRORS if is_huge(run) else ''}"
         )
     absent = [name for name in ("stages", "landmarks", "timings") if run.table(name).empty]
     if posed and absent:
@@ -114,8 +115,11 @@ def read_content(folder: Path) -> Content:
 def content_of(run: RunData) -> Content:
     """Compute the content of the report of a run; raise `BoresightError` if it names unknown published values."""
     comparison = load_published(run.manifest.report) if run.manifest.report else None
-    own = report_kind(run).records(run, comparison)
-    records = (*measure_run(run), *own, *outlier_records(run), *paired_records(run), *consistency_records(run))
+    if is_huge(run):
+        records = tuple(cell_records(run))
+    else:
+        own = report_kind(run).records(run, comparison)
+        records = (*measure_run(run), *own, *outlier_records(run), *paired_records(run), *consistency_records(run))
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))
 

@@ -1,13 +1,17 @@
 """What a report says of a grid of more cells than a page can show."""
 
+import subprocess
+import sys
+
 import numpy as np
+import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error
 
-from boresight.reports.kinds import brief_grids, report_figures, report_grids
+from boresight.reports.kinds import brief_grids, pooled, report_figures, report_grids
 from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
 from boresight.reports.pages.build import html_page
-from boresight.reports.pages.content import read_content
+from boresight.reports.pages.content import content_of, read_content
 from boresight.reports.run.data import GridAxis
 
 RANGES, PHASES = tuple(f"{k} km" for k in range(5)), tuple(f"{k} deg" for k in range(6))
@@ -94,6 +98,38 @@ def test_comparisons_grow_with_the_number_of_estimators_alone(wide):
     paired = wide.table().query("stage == 'paired' and statistic == 'median' and measure == 'position_difference_m'")
     assert len(paired) == 30 * (len(METHODS) - 1)
     assert set(paired["reference"]) == {"method-0"}
+
+
+def test_of_very_many_cells_the_table_has_the_last_errors_as_they_are_in_full(wide, monkeypatch):
+    monkeypatch.setattr(pooled, "MOST_MEASURED", 300)
+    huge = content_of(wide.run)
+    key = ["scenario", "estimator", "stage", "reference", "measure", "statistic"]
+    short, full = huge.table().set_index(key), wide.table().set_index(key)
+    assert len(short) == 360 * (4 + 1)
+    pd.testing.assert_frame_equal(short, full.reindex(short.index), check_like=True)
+    assert "both errors at the last stage alone" in " ".join(huge.notes)
+    assert "alone; all else" not in " ".join(wide.notes)
+    assert report_grids(huge) == report_grids(wide)
+
+
+_REPORT = """
+import resource, sys
+from pathlib import Path
+from boresight.reports.pages.build import write_report
+write_report(Path(sys.argv[1]))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
+"""
+
+
+@pytest.mark.long
+def test_the_report_of_a_thousand_scenarios_and_fifty_methods_fits_into_2_gib(tmp_path):
+    folder = store_wide(
+        tmp_path / "run", [f"{k} km" for k in range(40)], [f"{k} deg" for k in range(25)],
+        [f"method-{k}" for k in range(50)], trials=4,
+    )  # fmt: skip
+    ran = subprocess.run([sys.executable, "-c", _REPORT, folder], stdout=subprocess.PIPE, text=True, check=True)
+    assert float(ran.stdout) < 2.0, "peak of the resident memory, GiB"
+    assert (folder / "report" / "report.html").stat().st_size < 5e6
 
 
 def test_an_axis_shows_a_dozen_levels_with_both_ends():
