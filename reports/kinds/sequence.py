@@ -28,7 +28,8 @@ from boresight.reports.figures.sequences import (
 )
 from boresight.reports.figures.style import band_label
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs import REVOLUTION_ERRORS, design_figures, design_grids
+from boresight.reports.kinds.design_data import REVOLUTION_ERRORS
+from boresight.reports.kinds.designs import design_figures, design_grids
 from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools
 from boresight.reports.run.data import RunData

@@ -6,7 +6,7 @@ from scipy.stats import binomtest, bootstrap, t
 from stored_runs import find
 from terminal_text import terminal_lines
 
-from boresight.reports.kinds.designs import DesignData, Outcome
+from boresight.reports.kinds.design_data import DesignData, Outcome
 from boresight.reports.kinds.sequence import (
     ratio_records,
     revolution_figure,

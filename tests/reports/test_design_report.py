@@ -10,7 +10,8 @@ from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 from boresight.reports.figures.comparison import HeatMap, draw_curves, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.kinds import report_grids
-from boresight.reports.kinds.designs import DesignData, Outcome, design_figures, design_grids, outcomes
+from boresight.reports.kinds.design_data import DesignData, Outcome, outcomes
+from boresight.reports.kinds.designs import design_figures, design_grids
 from boresight.reports.pages.build import html_page, write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run

@@ -8,7 +8,7 @@ from stored_runs import RunBuilder, find
 from boresight.reports.figures.comparison import draw_trade_off
 from boresight.reports.figures.style import render
 from boresight.reports.kinds import report_kind
-from boresight.reports.kinds.single_image import costs, trade_grid
+from boresight.reports.kinds.trade_off import costs, trade_grid
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
