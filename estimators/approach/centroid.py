@@ -50,7 +50,7 @@ class CentroidEstimator:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 

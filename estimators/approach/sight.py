@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from pydantic import Field
 
 from boresight.estimators.approach.body import RENDERED_PX, BodyView, LitBody, Patch, near
@@ -21,6 +22,7 @@ from boresight.scenarios.spec.base import SpecModel
 _CELLS, _ARCS = 4, 6
 _DERIVATIVE_PX = 100.0
 _LEAST_STEP = 0.03  # of a turn, rad, and of the range, for a derivative: aliasing of renderings is small next to it
+_NODES, _WEIGHTS = hermegauss(6)
 
 
 class SightOptions(SpecModel):
@@ -56,7 +58,7 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     """Shift the prior across the line of sight until rendering and image coincide, and fuse it with the prior.
 
     The range and the attitude are those of the prior. What their errors do to the shift is found by renderings that
-    differ by the prior's standard deviations, see `fuse`.
+    differ by such errors, see `_by_pose` and `fuse`.
 
     The covariance of the shift is that of a linear function of the pixels' errors. These are the difference of image
     and rendering, which errors of shape, reflectance and noise make; they are correlated within the 16 cells of the
@@ -100,8 +102,8 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     with clock("mesh_rendering"):
         if view.diameter_px(last) < RENDERED_PX:
             covariance_px2 += _sampling(view, last, rendered, body, how)
-        by_pose = _by_pose(view, last, body, how, frame.prior_covariance)
-    covariance_px2 += _calibration(observation, pose)
+        by_pose, left_px2 = _by_pose(view, last, body, how, frame.prior_covariance)
+    covariance_px2 += left_px2 + _calibration(observation, pose)
     told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
     measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
     fused = fuse(observation, measured, by_pose, covariance_px2)
@@ -180,27 +182,42 @@ def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: S
     return found
 
 
-def _by_pose(view: BodyView, pose: Pose, body: LitBody, how: Sighting, covariance: FloatArray) -> FloatArray:
-    """Return the derivative (2, 6) of the measured pixel by [rotation_rad, translation_m].
+def _by_pose(
+    view: BodyView, pose: Pose, body: LitBody, how: Sighting, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivative (2, 6) of the measured pixel by [rotation_rad, translation_m], and what it leaves (2, 2).
 
-    Across the line of sight it is that of the body's origin. Along it, and by the attitude, it is the shift between
-    renderings that differ by the prior's standard deviation; 0 about axes without an error. They have as few pixels as
-    derivatives need.
+    Across the line of sight it is that of the body's origin. Along it, and by the attitude, it is the regression of the
+    shift between renderings on errors as the prior has them, at the nodes of Gauss and Hermite: the greatest
+    correlation is not linear in the size of a body that is lit from aside. What the line leaves is a covariance of the
+    shift, px^2. Both are 0 about axes without an error. Renderings have as few pixels as derivatives need.
     """
     sight = pose.translation_m / np.linalg.norm(pose.translation_m)
     across = view.camera.jacobian(pose.translation_m) @ (np.eye(3) - np.outer(sight, sight))
     found, along = np.hstack([np.zeros((2, 3)), across]), np.concatenate([np.zeros(3), sight])
+    left = np.zeros((2, 2))
     reduction = max(1, int(view.diameter_px(pose) / _DERIVATIVE_PX))
     small = replace(view, camera=reduced_camera(view.camera, reduction))
     rendered = _bright_part(small.render(pose), body, reduction)
     for direction in (*np.eye(6)[:3], along):
         sigma = float(np.sqrt(direction @ covariance @ direction))
-        if not sigma > 0.0:
+        if not sigma > 0.0 or rendered is None:
             continue
-        least = _LEAST_STEP * (np.linalg.norm(pose.translation_m) if direction is along else 1.0)
-        step = max(sigma, least)
-        changed = pose.perturbed(step * direction[:3], step * direction[3:])
-        moved = _bright_part(small.render(changed), body, reduction)
-        if rendered is not None and moved is not None:
-            found += np.outer(reduction * how.shift(moved, rendered) / step, direction)
-    return found
+        scale = max(sigma, _LEAST_STEP * (float(np.linalg.norm(pose.translation_m)) if direction is along else 1.0))
+        steps, shifts_px, weights = [], [], []
+        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+            step = float(node * scale)
+            moved = _bright_part(
+                small.render(pose.perturbed(step * direction[:3], step * direction[3:])), body, reduction
+            )
+            if moved is not None:
+                steps.append(step)
+                shifts_px.append(reduction * how.shift(moved, rendered))
+                weights.append(weight)
+        if steps:
+            x, y, w = np.array(steps), np.array(shifts_px), np.array(weights) / np.sum(weights)
+            slope = (w * x) @ y / (w @ x**2)
+            rest = y - np.outer(x, slope)
+            found += np.outer(slope, direction)
+            left += (sigma / scale) ** 2 * (w[:, None] * rest).T @ rest
+    return found, left

@@ -18,7 +18,7 @@ from boresight.scenarios.bodies.embedded import EMBEDDED, icosphere
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, look_at
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
-from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec
 from boresight.scenarios.spec.camera import DetectorSpec
 
 CAMERA = Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0)
@@ -45,7 +45,12 @@ ESTIMATORS = {name: estimator_class(name).from_options({}, Assets()) for name in
 
 
 def observed(
-    trial: int, size_px: float = 60.0, turn_deg: float = 0.2, middle_px=(0.0, 0.0), phase_deg=(20.0, 110.0)
+    trial: int,
+    size_px: float = 60.0,
+    turn_deg: float = 0.2,
+    middle_px=(0.0, 0.0),
+    phase_deg=(20.0, 110.0),
+    range_sigma: float = 0.01,
 ) -> tuple[Pose, Observation]:
     """A view from a random direction at a random phase angle, with errors of the prior."""
     rng = np.random.default_rng((11, trial))
@@ -57,7 +62,7 @@ def observed(
     phase, around = np.radians(rng.uniform(*phase_deg)), rng.uniform(0.0, 6.28)
     sun = np.array([np.sin(phase) * np.cos(around), np.sin(phase) * np.sin(around), -np.cos(phase)])
     image = Detector(DetectorSpec()).expose(RENDERER.render(View(CAMERA, truth, truth.rotation.T @ sun)), rng)
-    sigmas = np.array([np.radians(turn_deg)] * 3 + [4.0 * scale, 4.0 * scale, 0.01 * range_m])
+    sigmas = np.array([np.radians(turn_deg)] * 3 + [4.0 * scale, 4.0 * scale, range_sigma * range_m])
     error = rng.normal(size=6) * sigmas
     prior = truth.perturbed(error[:3], error[3:])
     return truth, Observation(CAMERA, Frame(image, sun, prior, np.diag(sigmas**2)))
@@ -125,8 +130,29 @@ def test_the_attitude_of_a_sphere_does_not_move_its_centroid():
     pose = look_at(np.array([0.0, -1000.0, 0.0]))
     patch = view.render(pose)
     body = LitBody(patch, patch.image > 0.02, 0.01, 0.0, False)
-    derivative = _by_pose(view, pose, body, CENTROID, np.diag([np.radians(0.1)] * 3 + [1.0] * 3) ** 2)
+    derivative, left_px2 = _by_pose(view, pose, body, CENTROID, np.diag([np.radians(0.1)] * 3 + [1.0] * 3) ** 2)
     assert np.abs(derivative[:, :3]).max() * np.radians(0.1) < 0.01
+    assert np.sqrt(np.diag(left_px2)).max() < 0.02
+
+
+def test_the_covariance_holds_what_a_wrong_range_does_to_the_greatest_correlation(monkeypatch):
+    """The rendering of a ball that is 5 % too large or small clings to the lit limb, or to the middle."""
+    ball, law = icosphere(6, 100.0), LommelSeeligerSpec(kind="lommel-seeliger")
+
+    def renderer(self, mesh, samples_per_pixel=1):
+        return MitsubaRenderer(mesh, law, samples_per_pixel, variant=choose_variant())
+
+    monkeypatch.setattr(Assets, "mesh_renderer", renderer)
+    monkeypatch.setattr(Assets, "shape", lambda self: ball)
+    monkeypatch.setitem(globals(), "BODY", ball)
+    monkeypatch.setitem(globals(), "RENDERER", renderer(None, ball, 16))
+    method = estimator_class("silhouette").from_options({}, Assets())
+    seen = [
+        observed(trial, size_px=110.0, turn_deg=0.01, phase_deg=(20.0, 60.0), range_sigma=0.05)
+        for trial in range(TRIALS)
+    ]
+    nees = mean_nees([(truth, one, method.estimate(one, rng=np.random.default_rng(0))) for truth, one in seen])
+    assert nees < 1.15
 
 
 def test_the_limb_gives_the_range():
