@@ -33,6 +33,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import MachineError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.brdf import BrdfSpec
 from boresight.scenarios.spec.onboard import DeclaredSpec, OnboardSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
@@ -44,7 +45,7 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
     if scenario.spec.viewpoint is None:
         raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
-    _check_declared(scenario.spec)
+    _check_declared(scenario.spec, options.bodies)
     # The data bases of the base are made once, before workers ask for them.
     with tempfile.TemporaryDirectory() as place:
         _method(scenario, options, Path(place), jobs, variant)
@@ -63,9 +64,18 @@ def _declared(spec: ScenarioSpec) -> DeclaredSpec:
     return spec.onboard.declared or DeclaredSpec()
 
 
-def _check_declared(spec: ScenarioSpec) -> None:
-    """Refuse declared errors that the shape on board cannot have."""
+def _laws(errors: DeclaredSpec) -> Sequence[BrdfSpec | None]:
+    return errors.brdf if isinstance(errors.brdf, tuple) else (errors.brdf,)
+
+
+def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
+    """Refuse declared errors that the shape on board cannot have, and more reflectances than rehearsed ``bodies``."""
     errors, detail = _declared(spec), spec.body.detail
+    if len(_laws(errors)) > bodies:
+        raise NoProductError(
+            f"onboard.declared.brdf: {len(_laws(errors))} reflectances, and each rehearsed body has one: give the"
+            f" estimator at least as many tuning.bodies, not {bodies}"
+        )
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
         raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
     if detail is not None and errors.relief_below_m is None and (errors.facets or 0) > detail.facets:
@@ -118,7 +128,8 @@ def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
 def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
     """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors.
 
-    The camera has artefacts of the kind and size of the flight camera's, and another pattern of pixels.
+    Bodies have the declared reflectances in turn. The camera has artefacts of the kind and size of the flight camera's,
+    and another pattern of pixels.
     """
     errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
     body, detail = spec.body, spec.body.detail
@@ -137,7 +148,8 @@ def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: in
             heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
     played = body.model_copy(update={"detail": detail, "height_error": heights or body.height_error})
     onboard = OnboardSpec(body=body, brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
-    changes: dict[str, object] = {"body": played, "brdf": errors.brdf or spec.brdf, "onboard": onboard}
+    law = _laws(errors)[number % len(_laws(errors))]
+    changes: dict[str, object] = {"body": played, "brdf": law or spec.brdf, "onboard": onboard}
     if spec.detector is not None and spec.detector.pixels is not None:
         pixels = spec.detector.pixels.model_copy(update={"seed": (spec.detector.pixels.seed + seed) % 2**32})
         changes["detector"] = spec.detector.model_copy(update={"pixels": pixels})

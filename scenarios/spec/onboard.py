@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -23,7 +23,9 @@ class CameraSigmaSpec(SpecModel):
 class DeclaredSpec(SpecModel):
     """Errors that a mission declares its onboard model to have; what is left out is taken as exact."""
 
-    brdf: BrdfSpec | None = Field(None, description="A reflectance that the surface may have in place of that on board")
+    brdf: BrdfSpec | Annotated[tuple[BrdfSpec, ...], Field(min_length=2)] | None = Field(
+        None, description="A reflectance that the surface may have in place of that on board, or several"
+    )
     facets: int | None = Field(None, ge=4, le=20_000_000, description="Facets of a rehearsed body's detail")
     relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")

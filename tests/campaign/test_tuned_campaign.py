@@ -102,9 +102,18 @@ def test_every_declared_error_changes_the_rehearsals(tmp_path):
     assert len(set(played)) == 1 + len(DECLARED)
 
 
+def test_rehearsed_bodies_have_the_declared_reflectances_in_turn(tmp_path):
+    write_campaign(tmp_path)
+    laws = [{"kind": "oren-nayar"}, {"kind": "mcewen"}]
+    true = load_scenario(str(tmp_path / "scene.yaml"), [f"onboard.declared={json.dumps({'brdf': laws})}"])
+    played = [rehearsed_scenario(believed(true), OPTIONS, number).spec.brdf.kind for number in range(4)]
+    assert played == ["oren-nayar", "mcewen", "oren-nayar", "mcewen"]
+
+
 @pytest.mark.parametrize(
     ("overrides", "declared", "refused"),
     [
+        ([], {"brdf": 5 * [{"kind": "oren-nayar"}]}, "5 reflectances, and each rehearsed body has one"),
         (["body.detail=null"], {"relief_below_m": 5}, "has no detail: leave facets and relief_below_m out"),
         ([], {"facets": 90000}, "are more than the 20000 on board"),
     ],
