@@ -1,4 +1,4 @@
-"""SUM files of the estimated poses of single images, in the format of `renderers.images.sumfile`."""
+"""SUM files of the estimated poses of single images, in the format of `scenarios.spc`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from boresight.campaign.inspection.show import PosedFrames
-from boresight.renderers.images.sumfile import Sumfile, sumfile_text
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.geometry.pose import cross_matrix
+from boresight.scenarios.spc import Sumfile, sumfile_text
 
 _M_PER_KM = 1e3
 

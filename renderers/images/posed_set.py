@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from boresight.renderers.images import colmap
 from boresight.renderers.images.image_set import check_camera, check_size, files_digest
 from boresight.renderers.images.product import image_files, read_any_image
-from boresight.renderers.images.sumfile import read_sumfile
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.spc import read_sumfile
 from boresight.scenarios.spec.scenario import ColmapSpec, ImageSetSpec
 
 QUATERNION_TOLERANCE = 1e-3

@@ -18,9 +18,9 @@ from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.score import pose_of
-from boresight.renderers.images.sumfile import read_sumfile
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spc import read_sumfile
 
 CAMERA, TRUE = "BORESIGHT_CAMERA", "BORESIGHT_TRUE_CAMERA"
 SEQUENCE = """\

@@ -37,13 +37,13 @@ from boresight.renderers.images import open_product
 from boresight.renderers.images.colmap import read_colmap
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
-from boresight.renderers.images.sumfile import read_sumfile
 from boresight.renderers.spice import INSTRUMENTS
 from boresight.reports.published import parse as parse_published
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry
 from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from boresight.scenarios.load.yaml_text import parse_yaml
+from boresight.scenarios.spc import read_sumfile
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spice import loaded_kernels

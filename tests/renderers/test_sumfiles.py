@@ -14,11 +14,11 @@ from painted_bodies import correlation, painted
 from scipy.spatial.transform import Rotation
 
 from boresight.renderers.images import PosedImageSet
-from boresight.renderers.images.sumfile import read_sumfile, sumfile_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.geometry.camera import pixel_to_opencv
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spc import read_sumfile, sumfile_text
 from boresight.scenarios.spec.scenario import ImageSetSpec
 
 BENNU = "images/bennu_mapcam"
