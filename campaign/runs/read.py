@@ -166,7 +166,8 @@ def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
         named.append(("images", spec.images.folder))
         named += [("spice", kernel) for kernel in (spec.images.spice.kernels if spec.images.spice else ())]
     if spec.sequence is not None and spec.sequence.tracks is not None:
-        named += [("tables", spec.sequence.tracks.table), ("tables", spec.sequence.tracks.poses)]
+        tracks = spec.sequence.tracks
+        named += [("tables", name) for name in (tracks.table, tracks.poses, tracks.spc) if name is not None]
     for kind, name in dict.fromkeys(named):
         yield Need(name, is_there(name, dirs, kind), kind)
 

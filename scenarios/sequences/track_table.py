@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.data import find_data_file
+from boresight.scenarios.data import find_data_file, find_data_folder
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import Camera
@@ -22,6 +22,7 @@ from boresight.scenarios.sequences.draw import SequenceTruth
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
 from boresight.scenarios.sequences.trajectory import nominal_trajectory
+from boresight.scenarios.spc import read_spc, spc_files
 from boresight.scenarios.spec.sequence import SequenceSpec, TrackTableSpec
 from boresight.scenarios.spec.tables import Table, columns_of, read_table
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec, StatesSpec, states_of
@@ -37,8 +38,8 @@ class TrackTable:
     """S sightings of a file, in the order of tracks and of frames, and the reference states of the frames' cameras.
 
     ``tracks`` (S,) are numbers from 0 without gaps, ``rays`` (S, 2) coordinates x / z and y / z, camera axes.
-    ``points_m`` (T, 3) are the landmarks of the tracks, body frame: the points nearest to all their lines of sight in
-    the least-squares sense, with the reference poses.
+    ``points_m`` (T, 3) are the landmarks of the tracks, body frame: those of LMK files, and of others the points
+    nearest to all their lines of sight in the least-squares sense, with the reference poses.
     """
 
     states: StatesSpec
@@ -53,20 +54,32 @@ class TrackTable:
 
         Raise BoresightError if one is missing or wrong.
         """
-        found = _opened(spec.table, spec.poses, camera, tuple(folders), track_files_digest(spec, folders))
+        content = track_files_digest(spec, folders)
+        if spec.table is not None and spec.poses is not None:
+            found = _opened(spec.table, spec.poses, camera, tuple(folders), content)
+        else:
+            found = _opened_spc(_spc_folder(spec, folders), camera, content)
         first, frames, there = spec.first_frame or 0, spec.frames or 2, len(found.states)
         if first + frames > there:
             raise BoresightError(
-                f"sequence.tracks: {frames} frames from frame {first} on are more than the {there} of {spec.poses}:"
-                " lower frames or first_frame"
+                f"sequence.tracks: {frames} frames from frame {first} on are more than the {there} of"
+                f" {spec.poses or spec.spc}: lower frames or first_frame"
             )
         return found
 
 
 def track_files(spec: TrackTableSpec, folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the files of real tracks: name in the scenario, and path."""
+    if spec.spc is not None:
+        folder = _spc_folder(spec, folders)
+        yield from ((f"{spec.spc}/{path.relative_to(folder).as_posix()}", path) for path in spc_files(folder))
     for key, name in (("table", spec.table), ("poses", spec.poses)):
-        yield name, find_data_file(name, folders, "tables", f"sequence.tracks.{key}")
+        if name is not None:
+            yield name, find_data_file(name, folders, "tables", f"sequence.tracks.{key}")
+
+
+def _spc_folder(spec: TrackTableSpec, folders: Sequence[Path]) -> Path:
+    return find_data_folder(spec.spc or "", folders, "tables", "sequence.tracks.spc")
 
 
 def track_files_digest(spec: TrackTableSpec, folders: Sequence[Path]) -> str:
@@ -89,6 +102,21 @@ def _opened(table: str, poses: str, camera: Camera, folders: tuple[Path, ...], _
         points = _triangulated(tracks, frames, rays, states)
     except (OSError, ValueError, TypeError) as error:
         raise BoresightError(f"sequence.tracks.table: {table} cannot be used: {one_line(error)}") from None
+    return TrackTable(states, tracks, frames, rays, points)
+
+
+@lru_cache(maxsize=2)
+def _opened_spc(folder: Path, camera: Camera, _content: str) -> TrackTable:
+    poses, sightings, points = read_spc(folder)
+    try:
+        states = _with_attitudes(states_of(poses))
+        tracks, frames, rays = _sightings(sightings, camera, len(states))
+        bare = np.isnan(points[:, 0])
+        if bare.any():
+            rows = bare[tracks]
+            points[bare] = _triangulated(np.cumsum(bare)[tracks[rows]] - 1, frames[rows], rays[rows], states)
+    except (ValueError, TypeError) as error:
+        raise BoresightError(f"sequence.tracks.spc: {folder} cannot be used: {one_line(error)}") from None
     return TrackTable(states, tracks, frames, rays, points)
 
 

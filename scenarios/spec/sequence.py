@@ -13,22 +13,28 @@ from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
 
 class TrackTableSpec(SpecModel):
-    """Real tracks instead of simulated ones: a table of sightings, and one of reference poses.
+    """Real tracks instead of simulated ones: tables of sightings and of reference poses, or files of SPC with both.
 
     ``table`` has a row for each sighting: ``track``, a number; ``frame``, the row of ``poses`` from 0; and ``u_px``,
     ``v_px``, or ``x_normalised``, ``y_normalised``: x / z and y / z in camera axes. Lens distortion is corrected. The
     sightings of a track are in the order of its frames. ``poses`` has the columns of ``viewpoint.trajectory.table``
     in body axes, attitudes among them. Both are CSV, Parquet, or MATLAB files of the toolbox SONIC.
 
+    ``spc`` is a folder of stereophotoclinometry: SUM files in it or in SUMFILES, LMK files in it or in LMKFILES. The
+    frames are the images that share landmarks, in the order of their epochs.
+
     Trials differ by the tracks that are drawn. Each frame is filled up with tracks that are seen in the next frame
     too, as a matcher knows a track from its second sighting on. They are followed to the last frame before a gap;
     after it, it is another track.
     """
 
-    table: str = Field(min_length=1, description="Table of sightings (beside the scenario, or under BORESIGHT_DATA)")
-    poses: str = Field(
-        min_length=1, description="Table of reference poses: scores, and the errors of all that is told beside tracks"
+    alternatives: ClassVar = (("table", "spc"), ("poses", "spc"))
+
+    table: str | None = optional("Table of sightings (beside the scenario, or under BORESIGHT_DATA)", min_length=1)
+    poses: str | None = optional(
+        "Table of reference poses: scores, and the errors of all that is told beside tracks", min_length=1
     )
+    spc: str | None = optional("Folder of SUM and LMK files, instead of table and poses", min_length=1)
     per_frame: int = Field(20, ge=3, le=100_000, description="Tracks of each frame that are drawn for a trial, if seen")
     frames: int | None = Field(
         None, ge=2, le=20_000, description="Consecutive frames of a trial; left out: all from the first one"

@@ -105,6 +105,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "sequence.images.spacing_px": (None, "40"),
     "sequence.tracks.table": (None, "more-tracks.csv"),
     "sequence.tracks.poses": (None, "more-poses.csv"),
+    "sequence.tracks.spc": (None, "more-spc"),
     "sequence.tracks.frames": (None, "6"),
     "orbit.imaging.errors.least_radius_px": (None, "1.5"),
 }

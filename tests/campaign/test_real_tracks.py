@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
+from spc_folders import write_spc
 from track_tables import make_world
 
 from boresight.campaign.cli import main
@@ -56,6 +57,34 @@ def test_a_case_is_worked_out_again_to_the_last_bit(run, tmp_path, capsys):
     assert main(["inspect", str(run), "--trial", "1", "--estimator", "fixed-lag", "--out", str(tmp_path / "case")]) == 0
     assert "Traceback" not in capsys.readouterr().err
     assert list((tmp_path / "case").rglob("*tracks*"))
+
+
+def write_folder(folder):
+    write(folder)
+    scene = write_spc(make_world(frames=9, landmarks=120), folder / "spc")
+    scene.write_text(scene.read_text().replace("per_frame: 12", "per_frame: 30"))
+    campaign = (folder / "campaign.yaml").read_text().replace("loop-smoother", "ba-slam").replace("3\nseed", "1\nseed")
+    (folder / "campaign.yaml").write_text(campaign)
+    return folder / "campaign.yaml"
+
+
+def test_landmarks_of_spc_are_followed_to_the_error_of_the_range(tmp_path):
+    assert main(["run", str(write_folder(tmp_path)), "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+    rows = pd.read_parquet(tmp_path / "out" / "rows").set_index("estimator")
+    assert (rows["status"] == "ok").all()
+    assert (rows["position_error_m"].drop("dead-reckoning") < 3.0).all()
+    assert rows["position_error_m"]["dead-reckoning"] > 10.0
+    assert rows["landmark_rmse_m"].drop("dead-reckoning").lt(3.0).all()
+
+
+@pytest.mark.parametrize("kind", ["SUM", "LMK"])
+def test_bad_files_of_spc_are_refused(tmp_path, refused, kind):
+    campaign = str(write_folder(tmp_path))
+    path = max((tmp_path / "spc" / f"{kind}FILES").iterdir())
+    path.write_text(path.read_text()[:-25])
+    for command in (["validate", campaign], ["run", campaign, "--jobs", "1", "--out", tmp_path / "out"]):
+        assert f"{path}: " in (said := refused(*command))
+        assert "cut short" in said
 
 
 BAD = {

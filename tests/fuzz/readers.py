@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from colmap_models import write_model
 from fuzz import recipes, run_folders
+from spc_folders import write_spc
 from track_tables import make_world
 
 from boresight.campaign.cli.bench import read_ratios
@@ -43,7 +44,7 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry
 from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from boresight.scenarios.load.yaml_text import parse_yaml
-from boresight.scenarios.spc import read_sumfile
+from boresight.scenarios.spc import read_lmk, read_sum_landmarks, read_sumfile
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spice import loaded_kernels
@@ -234,6 +235,18 @@ def sumfile(path: Path) -> object:
     return read.camera.project(read.T_cam_body.transform(np.eye(3)))
 
 
+def spc(name: str) -> Callable[[Path], object]:
+    """Read a SUM or LMK file alone, then as one of a folder with the tracks of a trial."""
+
+    def read(path: Path) -> object:
+        (read_lmk if path.suffix == ".LMK" else read_sum_landmarks)(path)
+        scene = write_spc(make_world(4, 12), path.with_name("spc"))
+        path.rename(path.with_name("spc") / name)
+        return open_tracks(load_scenario(str(scene)))
+
+    return read
+
+
 def colmap(name: str) -> Reader:
     """Return the reader of one file of a model, next to the other one as it should be."""
 
@@ -356,6 +369,10 @@ READERS = {
         in_file("hip2.dat", lambda path: read_hipparcos(path, 2000.0)), (b"\n", b"nan", b"1e400", b"\0")
     ),
     "sumfile": Reader(in_file("x.SUM", sumfile), SUMFILES),
+    "sum-landmarks": Reader(
+        in_file("W48230000400.SUM", spc("SUMFILES/W48230000400.SUM")), (*SUMFILES, b"LIMB FITS", b" -\n", b"FA0001")
+    ),
+    "lmk": Reader(in_file("FA0001.LMK", spc("LMKFILES/FA0001.LMK")), (*SUMFILES, b"VLM", b"END FILE")),
     "colmap-cameras": colmap("cameras.bin"),
     "colmap-images": colmap("images.bin"),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import trimesh
 from colmap_models import write_model
+from spc_folders import SCENE as SPC
+from spc_folders import write_spc
 from tiny_mission import make_mission
 from tiny_pairs import PAIRS
 from track_tables import SCENE, make_world
@@ -190,6 +192,7 @@ sequence:
     ),
     # Two of three tracks have no gap; three frames of nine can be the first.
     "tracks": SCENE.replace("per_frame: 12", "per_frame: 12, frames: 7, first_frame: 1, loops: true"),
+    "spc": SPC.replace("per_frame: 12", "per_frame: 12, frames: 7"),
     "tumbling": SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n",
     "egg": """
 body: {shape: egg.obj, unit: m}
@@ -280,6 +283,7 @@ def write_scenes(folder: Path) -> None:
         world = make_world(radius_m=radius_m)
         world.sightings.to_csv(folder / f"{name}.csv", index=False)
         world.poses.to_csv(folder / ("poses.csv" if name == "tracks" else "more-poses.csv"), index=False)
+        write_spc(world, folder / ("spc" if name == "tracks" else "more-spc"))
     mission = make_mission(folder / "mission")
     for number, name in enumerate(("a", "b", "c")):
         mission.write_image(name, np.random.default_rng(number).uniform(0, 100, (64, 64)), 600.0 * number)

@@ -98,7 +98,7 @@ def test_numbers_of_fortran_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"SCOBJ": ""}, "SCOBJ: missing: not a SUM file, or cut short"),
+        ({"SCOBJ": ""}, "SCOBJ: missing: no SUM file, or cut short"),
         ({"SCOBJ": "1 2"}, "SCOBJ: 2 numbers, not 3"),
         ({"SCOBJ": "1 2 nan"}, "SCOBJ: 'nan' is not a number"),
         ({"SCOBJ": "1 2 1e99"}, "SCOBJ: '1e99' is not a number"),
