@@ -9,8 +9,9 @@ every bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,7 @@ _NO_POINT = -1
 _GREY = "160 160 160"
 _TABLES = ("csv", "parquet")
 _Track = list[tuple[int, int, float]]
+_Labels = Mapping[tuple[str, int], tuple[str, float]]
 
 
 def export(
@@ -125,7 +127,8 @@ def _poses(
     folder: RunFolder, rows: pd.DataFrame, to: str, out: Path, shown: Callable[[Sequence[Case]], Iterable[Case]]
 ) -> list[Path]:
     """Write trajectories, models or SUM files; trials are only run again for what is not stored of them."""
-    stored = _stored_images(rows) if to == "tum" else None
+    labels = _labels(rows, distinct=to == "tum")
+    stored = _stored_images(rows, labels) if to == "tum" else None
     if stored is not None:
         return [path for name, frames in stored for path in write_trajectory(name, frames, out)]
     campaign, written = reopened(folder), list[Path]()
@@ -140,12 +143,12 @@ def _poses(
         raise BoresightError(f"trials of {kind} have no SUM files: export them with --to tum, colmap or spice")
     cases, trajectory = shown(cases_of(rows)), show.trajectory
     if to in _MODELS:
-        for name, model in _posed(campaign, folder, show, cases):
+        for name, model in _posed(campaign, folder, show, cases, labels):
             written += _MODELS[to](model, out / name) if model.frames else []
         return written
     paths: Iterable[tuple[str, Sequence[PosedFrame]]]
     if trajectory is None:
-        paths = ((name, found.frames) for name, found in _posed(campaign, folder, show, cases))
+        paths = ((name, found.frames) for name, found in _posed(campaign, folder, show, cases, labels))
     else:  # those of sequences are inertial, and no estimator is run again for them
         paths = ((case.stem, trajectory(campaign, folder, case)) for case in cases)
     for name, frames in paths:
@@ -177,7 +180,27 @@ def _kernels(
     return [*written, write_definitions(origin, out)] if written else []
 
 
-def _stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
+def _labels(rows: pd.DataFrame, distinct: bool) -> _Labels:
+    """Return name and time, s, of the image of each trial, by scenario and trial.
+
+    If several trials have one image, its name ends in the trial, as ``a-t0003.png``. The time of a rendered image is
+    the number of its trial, and with ``distinct`` that of every image of a scenario in which two have one epoch.
+    """
+    found: dict[tuple[str, int], tuple[str, float]] = {}
+    for scenario, own in rows.drop_duplicates(["scenario", "trial"]).groupby("scenario", sort=False):
+        several, shared = own["image"].duplicated(keep=False), distinct and own["time_s"].duplicated().any()
+        for row, repeated in zip(own.to_dict("records"), several, strict=True):
+            name, trial = PurePosixPath(row["image"] or ""), int(row["trial"])
+            if not row["image"]:
+                label = f"{trial:07d}.tiff", float(trial)
+            else:
+                own_name = name.with_stem(f"{name.stem}-t{trial:04d}") if repeated else name
+                label = str(own_name), float(trial if shared else row["time_s"])
+            found[str(scenario), trial] = label
+    return found
+
+
+def _stored_images(rows: pd.DataFrame, labels: _Labels) -> Iterator[tuple[str, list[PosedFrame]]] | None:
     """Yield the trajectories of single images from their stored rows; None if the rows have no poses."""
     solved = rows[rows["status"] == "ok"]
     if rows["true_qw"].isna().any() or solved["qw"].isna().any():
@@ -187,7 +210,7 @@ def _stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]]
         (
             f"{scenario}_{estimator}",
             [
-                PosedFrame(*_image_of(row), pose_of(row, "true_"), pose_of(row), *nothing)
+                PosedFrame(*labels[row["scenario"], row["trial"]], pose_of(row, "true_"), pose_of(row), *nothing)
                 for row in own.to_dict("records")
             ],
         )
@@ -195,14 +218,8 @@ def _stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]]
     )
 
 
-def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
-    """Name and epoch of the image of a row; for rendered images the epoch is the trial number."""
-    name, trial = str(row["image"] or ""), int(row["trial"])
-    return (name, float(row["time_s"])) if name else (f"{trial:07d}.tiff", float(trial))
-
-
 def _posed(
-    campaign: ResolvedCampaign, folder: RunFolder, show: Show, cases: Iterable[Case]
+    campaign: ResolvedCampaign, folder: RunFolder, show: Show, cases: Iterable[Case], labels: _Labels
 ) -> Iterator[tuple[str, PosedFrames]]:
     """Recompute cases; yield name and poses in body axes of a model for each sequence, or of one for all single images.
 
@@ -216,7 +233,9 @@ def _posed(
             continue
         found = show.posed(again, case)
         if show.pooled:
-            together.setdefault((case.scenario, case.estimator), []).append(found)
+            name, time_s = labels[case.scenario, case.trial]
+            frames = [replace(frame, name=name, time_s=time_s) for frame in found.frames]
+            together.setdefault((case.scenario, case.estimator), []).append(replace(found, frames=frames))
         else:
             yield case.stem, found
     for (scenario, estimator), parts in together.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -17,12 +18,16 @@ _M_PER_KM = 1e3
 
 
 def write_sumfiles(posed: PosedFrames, folder: Path) -> list[Path]:
-    """Write a SUM file of each frame whose direction to the Sun is known; return the files."""
-    written = []
+    """Write a SUM file of each frame whose direction to the Sun is known; return the files.
+
+    It has the name of the image without its ending, or the whole path if several images would have one file.
+    """
+    written, stems = [], Counter(PurePosixPath(frame.name).stem for frame in posed.frames)
     for frame in posed.frames:
         if frame.sun_dir_cam is None:
             continue
         stem = PurePosixPath(frame.name).stem
+        stem = frame.name.replace("/", "-") if stems[stem] > 1 else stem
         content = Sumfile(frame.time_s, posed.camera, frame.estimated, frame.estimated.rotation.T @ frame.sun_dir_cam)
         sigma = None if frame.covariance is None else sigma_km_rad(frame.estimated, frame.covariance)
         landmarks = dict(zip(frame.landmarks.tolist(), frame.uv_px, strict=True))
