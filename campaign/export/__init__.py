@@ -9,7 +9,7 @@ every bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -72,13 +72,15 @@ def export(
     if to == "latex":
         return _latex(folder, choice, trials, out)
     run = str(folder.path)
-    rows = chosen_rows(read_run(folder.path).rows, choice, run)
-    rows = rows[rows["trial"].isin(checked_trials(rows, trials, run))]
+    every = chosen_rows(read_run(folder.path).rows, choice, run)
+    rows = every[every["trial"].isin(checked_trials(every, trials, run))]
     if to in _TABLES:
         return _tables(folder, to, choice, trials, out)
     if to == "spice":
         return _kernels(folder, rows, out, shown, origin or Origin())
-    return _poses(folder, rows, to, out, shown)
+    # An epoch of 0 is one where other trials have others.
+    timed = set(every.loc[every["image"].ne("") | every["time_s"].ne(0.0), "scenario"])
+    return _poses(folder, rows, _labels(rows, timed, distinct=to == "tum"), to, out, shown)
 
 
 def _latex(folder: RunFolder, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
@@ -124,10 +126,14 @@ def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
 
 
 def _poses(
-    folder: RunFolder, rows: pd.DataFrame, to: str, out: Path, shown: Callable[[Sequence[Case]], Iterable[Case]]
+    folder: RunFolder,
+    rows: pd.DataFrame,
+    labels: _Labels,
+    to: str,
+    out: Path,
+    shown: Callable[[Sequence[Case]], Iterable[Case]],
 ) -> list[Path]:
     """Write trajectories, models or SUM files; trials are only run again for what is not stored of them."""
-    labels = _labels(rows, distinct=to == "tum")
     stored = _stored_images(rows, labels) if to == "tum" else None
     if stored is not None:
         return [path for name, frames in stored for path in write_trajectory(name, frames, out)]
@@ -180,23 +186,22 @@ def _kernels(
     return [*written, write_definitions(origin, out)] if written else []
 
 
-def _labels(rows: pd.DataFrame, distinct: bool) -> _Labels:
+def _labels(rows: pd.DataFrame, timed: Collection[str], distinct: bool) -> _Labels:
     """Return name and time, s, of the image of each trial, by scenario and trial.
 
-    If several trials have one image, its name ends in the trial, as ``a-t0003.png``. The time of a rendered image is
-    the number of its trial, and with ``distinct`` that of every image of a scenario in which two have one epoch.
+    If several trials have one image, its name ends in the trial, as ``a-t0003.png``. The time is the epoch in the
+    scenarios ``timed``, else the number of the trial. With ``distinct`` it is that number too in scenarios in which two
+    trials have the same epoch.
     """
     found: dict[tuple[str, int], tuple[str, float]] = {}
     for scenario, own in rows.drop_duplicates(["scenario", "trial"]).groupby("scenario", sort=False):
-        several, shared = own["image"].duplicated(keep=False), distinct and own["time_s"].duplicated().any()
+        several = own["image"].duplicated(keep=False)
+        has_times = scenario in timed and not (distinct and own["time_s"].duplicated().any())
         for row, repeated in zip(own.to_dict("records"), several, strict=True):
-            name, trial = PurePosixPath(row["image"] or ""), int(row["trial"])
-            if not row["image"]:
-                label = f"{trial:07d}.tiff", float(trial)
-            else:
-                own_name = name.with_stem(f"{name.stem}-t{trial:04d}") if repeated else name
-                label = str(own_name), float(trial if shared else row["time_s"])
-            found[str(scenario), trial] = label
+            trial = int(row["trial"])
+            name = PurePosixPath(row["image"] or f"{trial:07d}.tiff")
+            name = name.with_stem(f"{name.stem}-t{trial:04d}") if row["image"] and repeated else name
+            found[str(scenario), trial] = str(name), float(row["time_s"] if has_times else trial)
     return found
 
 

@@ -36,7 +36,7 @@ _NEAR = 1.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """One image of a trajectory: file name, epoch (s; the trial number for images without), and poses T_cam_world.
+    """One image of a trajectory: file name, '' of a rendered single image, epoch, s, and poses T_cam_world.
 
     The world frame is the body frame for single images; for sequences it is inertial in a trajectory and the believed
     body frame in a model. ``landmarks`` (n,) are the numbers of the observed landmarks, ``uv_px`` (n, 2) their

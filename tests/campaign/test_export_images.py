@@ -19,6 +19,12 @@ body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 images: {folder: set, noise_realisations: 3}
 """
+TABLE = """\
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+viewpoint: {trajectory: {table: way.csv}}
+"""
+TIMES_S = (-600.25, 0.0, 90.5, 200.0)
 CAMPAIGN = "scenarios: [scene]\nestimators: [prior]\ntrials: %d\nseed: 1\n"
 
 
@@ -87,3 +93,24 @@ def test_times_of_a_trajectory_are_unique_and_ascend(real, tmp_path):
         order = range(len(truth)) if out == "all" else np.argsort(rows["time_s"])
         errors = np.linalg.norm(estimate[:, 1:4] - truth[:, 1:4], axis=1)
         np.testing.assert_allclose(errors, rows["position_error_m"].to_numpy()[order], rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def passing(cache, tmp_path_factory):
+    """Four states of a table, and the first of them again."""
+    folder = tmp_path_factory.mktemp("passing")
+    lines = ["time_s,x_m,y_m,z_m", *(f"{time_s},{2000 + 10 * k},{k},5" for k, time_s in enumerate(TIMES_S))]
+    (folder / "way.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return run_of(folder, TABLE, 5)
+
+
+def test_images_along_a_table_have_its_epochs(passing, tmp_path):
+    for trials in ((0, 1, 2, 3), (1,)):
+        for kind in ("tum", "sum"):
+            export(passing, kind, tmp_path / f"{len(trials)}", "--trial", *trials)
+        out, times = tmp_path / f"{len(trials)}", [TIMES_S[trial] for trial in trials]
+        assert np.loadtxt(out / "scene_prior.estimate.tum", ndmin=2)[:, 0].tolist() == times
+        files = [out / "scene_prior" / f"{trial:07d}.SUM" for trial in trials]
+        assert [read_sumfile(path).time_s for path in files] == times
+    export(passing, "tum", tmp_path)
+    assert np.loadtxt(tmp_path / "scene_prior.truth.tum")[:, 0].tolist() == [0, 1, 2, 3, 4]

@@ -373,6 +373,7 @@ def _plain(pose: Pose) -> dict[str, object]:
 
 def posed(shown: EstimatedImage, case: Case) -> PosedFrames:
     """Return an estimated image as a frame; no frame where there is no estimate."""
+    del case
     camera, estimate = shown.observation.camera, shown.estimate
     if estimate is None or estimate.status != "ok" or estimate.pose is None:
         return PosedFrames(camera, [], {})
@@ -385,8 +386,8 @@ def posed(shown: EstimatedImage, case: Case) -> PosedFrames:
             for names in (("u_px", "v_px"), ("x_m", "y_m", "z_m"))
         )
     one = PosedFrame(
-        shown.image_name or f"{case.trial:07d}.tiff",
-        frame.time_s if shown.image_name else float(case.trial),
+        shown.image_name,
+        frame.time_s,
         shown.truth.T_cam_body,
         estimate.pose,
         numbers,
