@@ -10,7 +10,7 @@ every bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -43,10 +43,14 @@ from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_atomically, write_text
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import OpenCVDistortion, RadialDistortion
+from boresight.scenarios.onboard import onboard_camera
 
 _CAMERA = 1
 _NO_POINT = -1
 _GREY = "160 160 160"
+_BROWN = 4  # coefficients of OpenCV without the rational model
+_LENSES = {0: "PINHOLE", _BROWN: "OPENCV", 8: "FULL_OPENCV"}
 _TABLES = ("csv", "parquet")
 _Track = list[tuple[int, int, float]]
 _Labels = Mapping[tuple[str, int], tuple[str, float]]
@@ -147,6 +151,12 @@ def _poses(
         )
     if to == "sum" and not show.pooled:
         raise BoresightError(f"trials of {kind} have no SUM files: export them with --to tum, colmap or spice")
+    for name in rows["scenario"].unique() if to == "sum" else ():
+        if campaign.scenario(name).spec.camera.distortion is not None:
+            raise BoresightError(
+                f"{name}: camera.distortion: SUM files have a lens for the camera of NEAR alone, and without it their"
+                " pixels are not those of the images: export with --to colmap or tum"
+            )
     cases, trajectory = shown(cases_of(rows)), show.trajectory
     if to in _MODELS:
         for name, model in _posed(campaign, folder, show, cases, labels):
@@ -236,7 +246,10 @@ def _posed(
         again = _recomputed(campaign, folder, case)
         if show.posed is None or again is None:
             continue
+        spec = campaign.scenario(case.scenario).spec
+        lens = (onboard_camera(spec) if show.pooled else spec.camera.camera()).distortion
         found = show.posed(again, case)
+        found = replace(found, camera=replace(found.camera, distortion=lens))
         if show.pooled:
             name, time_s = labels[case.scenario, case.trial]
             frames = [replace(frame, name=name, time_s=time_s) for frame in found.frames]
@@ -259,17 +272,29 @@ def _recomputed(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> In
 
 
 def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
-    """Write a COLMAP model of the estimated poses, and of the landmarks observed in images with a pose."""
+    """Write a COLMAP model of the estimated poses, and of the landmarks observed in images with a pose.
+
+    The lens is written if COLMAP has it, and pixels are then those of the images as they were exposed. Otherwise they
+    are those of images that are resampled to the pinhole.
+    """
+    camera, remarks = posed.camera, list[str]()
+    if isinstance(camera.distortion, RadialDistortion):
+        camera, remarks = camera.pinhole, ["# COLMAP does not have this lens: images are resampled to the pinhole."]
+    posed = replace(posed, camera=camera)
     tracks: dict[int, _Track] = {}
     lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
     for image, frame in enumerate(posed.frames, start=1):
         lines += _image(image, frame, posed, tracks)
-    camera = posed.camera
-    size, numbers = f"{camera.width_px} {camera.height_px}", (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+    lens = camera.distortion
+    coefficients = astuple(lens) if isinstance(lens, OpenCVDistortion) else ()
+    # Those of OpenCV, in its order; k3 to k6 are left out if they are 0.
+    coefficients = coefficients if any(coefficients[_BROWN:]) else coefficients[:_BROWN]
+    numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *coefficients)
     texts = {
         "cameras.txt": [
             "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
-            f"{_CAMERA} PINHOLE {size} {_numbers(*numbers)}",
+            *remarks,
+            f"{_CAMERA} {_LENSES[len(coefficients)]} {camera.width_px} {camera.height_px} {_numbers(*numbers)}",
         ],
         "images.txt": lines,
         "points3D.txt": [
@@ -285,7 +310,8 @@ def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
 def _image(image: int, frame: PosedFrame, posed: PosedFrames, tracks: dict[int, _Track]) -> list[str]:
     """Return the two lines of an image, and add its observations and reprojection errors to ``tracks``."""
     pose, points = frame.estimated, []
-    for row, (number, uv_px) in enumerate(zip(frame.landmarks.tolist(), frame.uv_px, strict=True)):
+    seen_px = posed.camera.distorted(frame.uv_px)
+    for row, (number, uv_px) in enumerate(zip(frame.landmarks.tolist(), seen_px, strict=True)):
         place = posed.places_m.get(number)
         if place is not None:
             error_px = float(np.linalg.norm(posed.camera.project(pose.transform(place)) - uv_px))

@@ -71,7 +71,10 @@ class Flight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrames:
-    """Frames of one camera in order of time, and estimated positions of landmarks by number, world axes, m."""
+    """Frames of one camera in order of time, and estimated positions of landmarks by number, world axes, m.
+
+    Pixels of frames are those of the camera's ``pinhole``.
+    """
 
     camera: Camera
     frames: Sequence[PosedFrame]

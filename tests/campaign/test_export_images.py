@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 from tiny_campaign import compute, write_campaign
 
 from boresight.campaign.cli import main
+from boresight.campaign.export import write_model
+from boresight.campaign.inspection.show import PosedFrame, PosedFrames
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.score import pose_of
+from boresight.scenarios.geometry import Camera, OpenCVDistortion, Pose
 from boresight.scenarios.spc import read_sumfile
 
+LENS = """\
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3, distortion: %s}
+viewpoint: {range_m: 2000}
+onboard: {distortion_error: 0.5}
+"""
 NAMES = ("near/a.png", "far/a.png", "b.png")
 REAL = """\
 body: {shape: sphere}
@@ -114,3 +126,58 @@ def test_images_along_a_table_have_its_epochs(passing, tmp_path):
         assert [read_sumfile(path).time_s for path in files] == times
     export(passing, "tum", tmp_path)
     assert np.loadtxt(tmp_path / "scene_prior.truth.tum")[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+# --- lenses -----------------------------------------------------------------------------------------------------------
+
+
+LENSES = (
+    ("OPENCV", OpenCVDistortion(-0.4, 0.9, 0.01, -0.02)),
+    ("FULL_OPENCV", OpenCVDistortion(-0.4, 0.9, 0.01, -0.02, 0.3, 0.2, -0.1, 0.4)),
+)
+
+
+@pytest.mark.parametrize(("model", "lens"), LENSES)
+def test_a_model_has_the_lens_and_the_pixels_where_opencv_sees_the_points(tmp_path, model, lens):
+    rng = np.random.default_rng(3)
+    pose = Pose(Rotation.random(rng=rng).as_matrix(), np.array([3.0, -2.0, 50.0]))
+    points = dict(enumerate(rng.normal(0.0, 8.0, (20, 3))))
+    camera = Camera(1000, 800, 900.0, 910.0, 505.0, 395.0, lens)
+    uv = camera.pinhole.project(pose.transform(np.array(list(points.values()))))
+    frame = PosedFrame("a.png", 0.0, pose, pose, np.array(list(points)), uv)
+    write_model(PosedFrames(camera, [frame], points), tmp_path)
+    matrix, coefficients = camera.matrix, np.array(astuple(lens))
+    cells = (tmp_path / "cameras.txt").read_text().splitlines()[1].split()
+    assert cells[:4] == ["1", model, "1000", "800"]
+    written = np.array(cells[4:], dtype=float)
+    np.testing.assert_array_equal(written, [900.0, 910.0, 505.0, 395.0, *coefficients[: len(written) - 4]])
+    lines = (tmp_path / "images.txt").read_text().splitlines()[2:]
+    seen = np.array(lines[1].split(), dtype=float).reshape(-1, 3)[:, :2]
+    turn = Rotation.from_quat(np.array(lines[0].split()[1:5], dtype=float), scalar_first=True)
+    there, _ = cv2.projectPoints(
+        np.array(list(points.values())), turn.as_rotvec(), pose.translation_m, matrix, written[4:]
+    )
+    np.testing.assert_allclose(seen, there[:, 0], atol=1e-9)
+    errors = [float(line.split()[7]) for line in (tmp_path / "points3D.txt").read_text().splitlines()[1:]]
+    assert max(errors) < 1e-9
+    assert np.abs(seen - uv).max() > 5.0
+
+
+@pytest.mark.parametrize(
+    ("lens", "line"),
+    [
+        ("{opencv: [-0.2, 0, 0.01, 0]}", "1 OPENCV 48 40 {0} {0} 24 20 -0.3 0 0.015 0"),
+        ("{k1: -0.2}", "1 PINHOLE 48 40 {0} {0} 24 20"),
+    ],
+)
+def test_the_lens_is_that_which_is_known_on_board_and_no_sum_file_leaves_it_out(cache, tmp_path, refused, lens, line):
+    run = run_of(tmp_path, LENS % lens, 1)
+    export(run, "colmap", tmp_path / "out")
+    _, *remarks, camera = (tmp_path / "out" / "scene_prior" / "cameras.txt").read_text().splitlines()
+    expected = line.format(24.0 / np.tan(np.radians(9.15))).split()
+    assert camera.split()[:4] == expected[:4]
+    np.testing.assert_allclose(np.array(camera.split()[4:], float), np.array(expected[4:], float), rtol=1e-12)
+    assert bool(remarks) == ("k1" in lens)
+    said = refused("export", run, "--to", "sum", "--out", tmp_path / "sums")
+    assert "scene: camera.distortion: SUM files have a lens for the camera of NEAR alone" in said
+    assert not (tmp_path / "sums").exists()
