@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, View
+from boresight.scenarios.geometry.lens import Lens
 
 # Largest allowed difference between the cameras of scenario and source, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01
@@ -113,12 +114,20 @@ def check_camera(camera: Camera, known: Camera, owner: str, source: str) -> None
     off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
     # Written so that NaN, a pixel that one lens cannot reach, is a difference.
     if not off_px <= CAMERA_TOLERANCE_PX:
-        lens = known.distortion
         raise BoresightError(
             f"camera: up to {off_px:.3g} pixels off that of {source}: write focal_px: [{known.fx_px:.6f},"
             f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
-            + (f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}" if isinstance(lens, RadialDistortion) else " null")
+            f" {_lens_keys(known.distortion)}"
         )
+
+
+def _lens_keys(lens: Lens | None) -> str:
+    """Return what a scenario has as ``camera.distortion`` for a lens."""
+    if lens is None:
+        return "null"
+    if isinstance(lens, RadialDistortion):
+        return f"{{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}"
+    return f"{{opencv: [{', '.join(f'{number:.8g}' for number in astuple(lens))}]}}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

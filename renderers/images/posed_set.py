@@ -30,7 +30,7 @@ from boresight.renderers.images import colmap
 from boresight.renderers.images.image_set import check_camera, check_size, files_digest
 from boresight.renderers.images.product import image_files, read_any_image
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.data import find_data_file
+from boresight.scenarios.data import find_data_file, is_there
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.reading import LARGEST_NUMBER
@@ -207,8 +207,8 @@ def _table_of_sumfiles(paths: Sequence[Path], spec: ImageSetSpec, camera: Camera
     )
 
 
-def _table_of_colmap(folder: Path, spec: ColmapSpec, prefix: str, camera: Camera) -> PoseTable:
-    model, path = colmap.read_colmap(folder, {"m": 1.0, "km": 1e3}[spec.unit]), folder / colmap.IMAGES
+def _table_of_colmap(path: Path, spec: ColmapSpec, prefix: str, camera: Camera) -> PoseTable:
+    model = colmap.read_colmap(path, {"m": 1.0, "km": 1e3}[spec.unit])
     poses, taken = [], dict[str, str]()
     for one in spec.images:
         # A model names its images from their own folder on, which may lie below that of the set.
@@ -220,7 +220,7 @@ def _table_of_colmap(folder: Path, spec: ColmapSpec, prefix: str, camera: Camera
             raise BoresightError(f"{path}: {taken[name]} and {one.image} have the same pose, that of {name}")
         taken[name] = one.image
         own, pose = model[name]
-        check_camera(camera, own, one.image, str(folder / colmap.CAMERAS))
+        check_camera(camera, own, one.image, str(colmap.cameras_file(path)))
         if pose.translation_m[2] <= 0.0:
             raise BoresightError(f"{path}: {one.image}: the body is behind the camera")
         poses.append(pose)
@@ -259,14 +259,17 @@ class PosedImageSet:
         ``$BORESIGHT_DATA``. Raise `BoresightError` if a file is missing or contains an error, or if the camera is not
         that of a SUM file or of a model.
         """
-        first = colmap.IMAGES if spec.colmap is not None else spec.table
-        first = first if spec.sumfiles is None else spec.sumfiles[0].sumfile
+        first = spec.table if spec.sumfiles is None else spec.sumfiles[0].sumfile
+        if spec.colmap is not None:
+            binary, text = colmap.IMAGES
+            is_text = is_there(f"{spec.folder}/{text}", search_dirs, "images")
+            first = text if is_text and not is_there(f"{spec.folder}/{binary}", search_dirs, "images") else binary
         path = find_data_file(f"{spec.folder}/{first}", search_dirs, "images", "images.folder")
         folder = path.parent
         sources: tuple[Path, ...] = (path,)
         if spec.colmap is not None:
-            sources = (folder / colmap.CAMERAS, path)
-            table = _table_of_colmap(folder, spec.colmap, spec.truth, camera)
+            sources = (colmap.cameras_file(path), path)
+            table = _table_of_colmap(path, spec.colmap, spec.truth, camera)
         elif spec.sumfiles is None:
             own = None if spec.adjusted is None else spec.adjusted.name
             named, moved = (spec.truth, *spec.also_score), {one.name: one.of for one in spec.moved}

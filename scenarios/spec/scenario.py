@@ -75,7 +75,7 @@ class ColmapImageSpec(SpecModel):
 
 
 class ColmapSpec(SpecModel):
-    """Poses of a binary model of COLMAP (cameras.bin, images.bin), which must be in the frame of the shape."""
+    """Poses of a model of COLMAP (cameras and images, .bin or .txt), which must be in the frame of the shape."""
 
     unit: Literal["m", "km"] = Field("m", description="Unit of the model's translations")
     images: tuple[ColmapImageSpec, ...] = Field(min_length=1, description="Images of the set")

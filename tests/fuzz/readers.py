@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from colmap_models import write_model
+from colmap_models import write_model, write_text_model
 from fuzz import recipes, run_folders
 from spc_folders import write_spc
 from track_tables import make_world
@@ -139,6 +139,11 @@ PDS = (
     b"LINES = 5 <m>", b"LINES = {5}", b"^IMAGE = 1.5", b"BANDS = 0", b"EXPOSURE_DURATION = -1", b"NaN", b"sNaN",
     b"START_TIME = 0001-01-01T00:00:00+23:59", b"1E99999999999999999999",
 )  # fmt: skip
+BINARY_MODEL = (b"\0" * 8, b"\xff" * 8, b"\x01" + b"\0" * 7, b"\0\0\xf0\x7f")
+TEXT_MODEL = (
+    b"SIMPLE_PINHOLE", b"SIMPLE_RADIAL 9 9 9 9 1e300", b"RADIAL", b"OPENCV", b"FULL_OPENCV", b"OPENCV_FISHEYE", b"#",
+    b"1 OPENCV 9 9 9 9 4 4 1 1 1 1\n", b"1 0 0 0 0 0 9 7 b.png\n\n", b" a.png", b" 1 2 3", b"1_0", b"-1", b"\r\n",
+)  # fmt: skip
 ARRAYS = (
     b"<f8", b"<f4", b">i2", b"|u1", b"|O", b"<U3", b"<c16", b"<M8[s]", b"|V8", b"<i8", b"|S5", b"1000000000,1000000000",
     b"1073741824", b"-1,3", b"0", b"3", b"head", b"heights", b"counts", b"1,1,1,1,1", b"'x'", b"1000000000000",
@@ -249,19 +254,21 @@ def spc(name: str) -> Callable[[Path], object]:
 
 def colmap(name: str) -> Reader:
     """Return the reader of one file of a model, next to the other one as it should be."""
+    write, words = (write_model, BINARY_MODEL) if name.endswith(".bin") else (write_text_model, TEXT_MODEL)
 
     def read(path: Path) -> object:
         content = path.read_bytes()
-        write_model(path.parent, {"a.png": (1, 0, 0, 0, 0, 0, 9)})
+        write(path.parent, {"a.png": (1, 0, 0, 0, 0, 0, 9)})
         path.write_bytes(content)
-        return [camera.project(pose.transform(np.eye(3))) for camera, pose in read_colmap(path.parent, 1.0).values()]
+        model = read_colmap(path.with_name(f"images{path.suffix}"), 1.0)
+        return [camera.project(pose.transform(np.eye(3))) for camera, pose in model.values()]
 
     def written() -> tuple[bytes, ...]:
         with tempfile.TemporaryDirectory() as folder:
-            write_model(Path(folder), {"a.png": (1, 0, 0, 0, 0, 0, 9), "b.png": (0, 1, 0, 0, 0, 0, 9)})
+            write(Path(folder), {"a.png": (1, 0, 0, 0, 0, 0, 9), "b.png": (0, 1, 0, 0, 0, 0, 9)})
             return ((Path(folder) / name).read_bytes(),)
 
-    return Reader(in_file(name, read), (b"\0" * 8, b"\xff" * 8, b"\x01" + b"\0" * 7, b"\0\0\xf0\x7f"), written=written)
+    return Reader(in_file(name, read), words, written=written)
 
 
 def label(content: bytes, folder: Path) -> object:
@@ -375,6 +382,8 @@ READERS = {
     "lmk": Reader(in_file("FA0001.LMK", spc("LMKFILES/FA0001.LMK")), (*SUMFILES, b"VLM", b"END FILE")),
     "colmap-cameras": colmap("cameras.bin"),
     "colmap-images": colmap("images.bin"),
+    "colmap-text-cameras": colmap("cameras.txt"),
+    "colmap-text-images": colmap("images.txt"),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
     "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
     "states-tum": Reader(in_file("x.tum", states("x.tum", "x_m")), (b"1e400", b"nan", b"#", b"0 " * 9), cost=2),

@@ -1,4 +1,4 @@
-"""Binary models of COLMAP, written after the description of its format, and the points that those of others hold."""
+"""Models of COLMAP, binary and text, written after its description, and the points that those of others hold."""
 
 from __future__ import annotations
 
@@ -27,6 +27,22 @@ def write_model(
         content += struct.pack("<I7dI", number, *pose, 7) + name.encode() + b"\0"
         content += struct.pack("<Q", 2) + struct.pack("<ddQ", 1.5, 2.5, 3) * 2
     (folder / "images.bin").write_bytes(content)
+
+
+def write_text_model(
+    folder: Path,
+    poses: Mapping[str, Sequence[float]],
+    camera: tuple[str, Sequence[float]] = ("PINHOLE", PINHOLE[1]),
+    size: tuple[int, int] = (1000, 800),
+) -> None:
+    """Write ``cameras.txt`` and ``images.txt`` as `write_model` writes the binary files."""
+    model, parameters = camera
+    line = " ".join(map(repr, parameters))
+    (folder / "cameras.txt").write_text(f"# CAMERA_ID, ...\n7 {model} {size[0]} {size[1]} {line}\n")
+    lines = ["# IMAGE_ID, ..."]
+    for number, (name, pose) in enumerate(poses.items(), 1):
+        lines += [f"{number} {' '.join(map(repr, map(float, pose)))} 7 {name}", "1.5 2.5 3 1.5 2.5 -1"]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n")
 
 
 def sightings(folder: Path) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from colmap_models import PINHOLE, sightings, write_model
+from colmap_models import PINHOLE, sightings, write_model, write_text_model
 from mission_data import data_path, needs_data
 from painted_bodies import correlation, painted
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from boresight.renderers.images import PosedImageSet
 from boresight.renderers.images.colmap import read_colmap
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera
+from boresight.scenarios.geometry import Camera, OpenCVDistortion
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.scenario import ImageSetSpec
 
@@ -47,7 +47,7 @@ def test_points_are_where_opencv_projects_them(tmp_path, name):
 
 def test_a_camera_with_one_focal_length_is_read(tmp_path):
     write_model(tmp_path, {"a.png": POSE}, (0, (1500.0, 500.0, 380.0)))
-    ((camera, _),) = read_colmap(tmp_path, 1.0).values()
+    ((camera, _),) = read_colmap(tmp_path / "images.bin", 1.0).values()
     assert camera == Camera(**{**CAMERA, "fy_px": 1500.0})
 
 
@@ -58,7 +58,8 @@ def test_a_camera_with_one_focal_length_is_read(tmp_path):
         ({"a.png": (*POSE[:6], -4.0)}, PINHOLE, r"images\.bin: images/a\.png: the body is behind the camera"),
         ({"a.png": (1, 1, *POSE[2:])}, PINHOLE, r"images\.bin: a\.png: the quaternion does not have length 1"),
         ({"a.png": (*POSE[:6], np.nan)}, PINHOLE, r"images\.bin: byte 8: a number that is not finite"),
-        ({"a.png": POSE}, (4, (1500.0, 1490.0, 500.0, 380.0, 0, 0, 0, 0)), r"camera 7 has a lens \(model 4\)"),
+        ({"a.png": POSE}, (5, (1500.0, 1490.0, 500.0, 380.0, 0, 0, 0, 0)), "camera 7 has the lens OPENCV_FISHEYE"),
+        ({"a.png": POSE}, (99, (1500.0,)), "camera 7 has the lens number 99, which is none of SIMPLE_PINHOLE, PINHOLE"),
         ({"a.png": POSE}, (1, (1500.0, 1490.0, 501.0, 380.0)), "principal_point_px: \\[501, 380\\]"),
         ({"a.png": POSE}, (1, (-5.0, 1490.0, 500.0, 380.0)), "no camera has 1000 x 800 pixels and focal lengths of -5"),
     ],
@@ -78,6 +79,88 @@ def test_two_images_have_not_the_same_pose(tmp_path):
         open_set(tmp_path, images=both)
 
 
+LENSES = (
+    (2, "SIMPLE_RADIAL", (1500.0, 500.0, 380.0, -0.3), (-0.3, 0, 0, 0)),
+    (3, "RADIAL", (1500.0, 500.0, 380.0, -0.3, 0.2), (-0.3, 0.2, 0, 0)),
+    (4, "OPENCV", (1500.0, 1490.0, 500.0, 380.0, -0.3, 0.2, 0.01, -0.02), (-0.3, 0.2, 0.01, -0.02)),
+    (
+        6,
+        "FULL_OPENCV",
+        (1500.0, 1490.0, 500.0, 380.0, -0.3, 0.2, 0.01, -0.02, 0.1, 0.3, 0.05, 0.02),
+        (-0.3, 0.2, 0.01, -0.02, 0.1, 0.3, 0.05, 0.02),
+    ),
+)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize(("number", "model", "parameters", "coefficients"), LENSES)
+def test_points_through_a_lens_are_where_opencv_projects_them(tmp_path, text, number, model, parameters, coefficients):
+    if text:
+        write_text_model(tmp_path, {"a.png": POSE}, (model, parameters))
+    else:
+        write_model(tmp_path, {"a.png": POSE}, (number, parameters))
+    fy_px = 1490.0 if number > 3 else 1500.0
+    lens = OpenCVDistortion(*coefficients)
+    view = open_set(tmp_path, CAMERA | {"fy_px": fy_px, "distortion": lens}).view(0)
+    ((camera, pose),) = read_colmap(tmp_path / f"images.{'txt' if text else 'bin'}", 1e3).values()
+    points_m = np.random.default_rng(1).normal(0, 300, (9, 3))
+    matrix = np.array([[1500.0, 0, 500], [0, fy_px, 380], [0, 0, 1]])
+    turn, shift = TURN.as_rotvec(), 1e3 * np.array(POSE[4:])
+    there, _ = cv2.projectPoints(points_m, turn, shift, matrix, np.array(coefficients, dtype=float))
+    np.testing.assert_allclose(camera.project(pose.transform(points_m)), there[:, 0], atol=1e-9)
+    np.testing.assert_array_equal(view.T_cam_body.translation_m, pose.translation_m)
+    with pytest.raises(BoresightError, match=r"cameras\.(txt|bin): write focal_px: .* distortion: \{opencv: \[-0\.3, "):
+        open_set(tmp_path)
+
+
+def test_a_text_model_is_the_binary_one_and_read_where_that_is_missing(tmp_path):
+    poses = {"a.png": POSE, "b c.png": (1, 0, 0, 0, 1, 2, 3)}
+    write_model(tmp_path, poses)
+    write_text_model(tmp_path, poses)
+    binary, text = (read_colmap(tmp_path / name, 1.0) for name in ("images.bin", "images.txt"))
+    assert list(binary) == list(text) == list(poses)
+    for name, (camera, pose) in binary.items():
+        assert text[name][0] == camera
+        np.testing.assert_array_equal(text[name][1].quat_wxyz, pose.quat_wxyz)
+        np.testing.assert_array_equal(text[name][1].translation_m, pose.translation_m)
+    assert [path.name for path in open_set(tmp_path).files] == ["cameras.bin", "images.bin", "a.png"]
+    for name in ("cameras.bin", "images.bin"):
+        (tmp_path / name).unlink()
+    assert [path.name for path in open_set(tmp_path).files] == ["cameras.txt", "images.txt", "a.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        (
+            "cameras.txt",
+            "PINHOLE",
+            "FOV",
+            r"cameras\.txt:2: camera 7 has the lens FOV, which is none",
+        ),
+        ("cameras.txt", "1490.0 ", "", r"cameras\.txt:2: camera 7: 3 parameters, not the 4 of PINHOLE"),
+        ("cameras.txt", "7 PINHOLE 1000", "7 PINHOLE", r"cameras\.txt:2: camera 7: 3 parameters"),
+        ("cameras.txt", "1000", "1000.5", r"cameras\.txt:2: camera 7: no camera has 1000\.5 x 800 pixels"),
+        ("cameras.txt", "1500.0", "x", r"cameras\.txt:2: 'x' is not a number that this can be"),
+        ("cameras.txt", "7 PINHOLE 1000 800", "7 PINHOLE #", r"cameras\.txt:2: '#' is not a number"),
+        ("images.txt", "4.0 7", "nan 7", r"images\.txt:2: 'nan' is not a number that this can be"),
+        ("images.txt", "4.0 7", "4.0 8", r"images\.txt:2: a\.png: camera 8 of image 1 is not in cameras\.txt"),
+        ("images.txt", " 7 a.png", " 7", r"images\.txt:2: not IMAGE_ID, QW, .* NAME of an image"),
+        ("images.txt", "1.5 2.5 3 1.5", "1.5 7", r"images\.txt:3: not X, Y, POINT3D_ID"),
+        ("images.txt", "b.png", "a.png", r"images\.txt:4: a\.png appears twice"),
+        ("images.txt", "2 1.0", "2 1.1", r"images\.txt:4: b\.png: the quaternion does not have length 1"),
+    ],
+)
+def test_a_wrong_line_of_a_text_model_is_named(tmp_path, name, old, new, said):
+    write_text_model(tmp_path, {"a.png": POSE, "b.png": (1, 0, 0, 0, 1, 2, 3)})
+    text = (tmp_path / name).read_text()
+    assert old in text
+    (tmp_path / name).write_text(text.replace(old, new))
+    with pytest.raises(BoresightError, match=said) as refused:
+        open_set(tmp_path)
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 def test_no_part_of_a_file_may_be_missing(tmp_path, name):
     write_model(tmp_path, {"a.png": POSE})
@@ -85,7 +168,7 @@ def test_no_part_of_a_file_may_be_missing(tmp_path, name):
     for size in range(len(content)):
         (tmp_path / name).write_bytes(content[:size])
         with pytest.raises(BoresightError, match=rf"{name}: cut short, or not a binary model of COLMAP"):
-            read_colmap(tmp_path, 1.0)
+            read_colmap(tmp_path / "images.bin", 1.0)
 
 
 @needs_data(VESTA)
