@@ -185,15 +185,22 @@ def _kernels(
     show = show_of(kind)
     if show is None or (show.flights is None and show.trajectory is None):
         raise BoresightError(f"trials of {kind} have no trajectory in inertial axes: export them in another format")
-    written, flights = list[Path](), dict[str, Flight]()
-    for case in shown(cases_of(rows)):
-        if show.trajectory is not None:
-            flights = flights_of(show.trajectory(campaign, folder, case))
-        else:
-            again = _recomputed(campaign, folder, case)
-            flights = dict(show.flights(again)) if show.flights is not None and again is not None else {}
-        written += write_kernels(case.stem, flights, origin, out)
+    written, cases, trajectory = list[Path](), shown(cases_of(rows)), show.trajectory
+    every: Iterable[tuple[str, Mapping[str, Flight]]]
+    if trajectory is not None:
+        every = [(case.stem, flights_of(trajectory(campaign, folder, case))) for case in cases]
+        origin = origin.before(flights for _, flights in every)
+    else:  # each is written as soon as it is there; their times begin at 0
+        every = ((case.stem, _flights(campaign, folder, show, case)) for case in cases)
+    for name, flights in every:
+        written += write_kernels(name, flights, origin, out)
     return [*written, write_definitions(origin, out)] if written else []
+
+
+def _flights(campaign: ResolvedCampaign, folder: RunFolder, show: Show, case: Case) -> Mapping[str, Flight]:
+    """Determine an orbit again; none if there is no solution."""
+    again = _recomputed(campaign, folder, case)
+    return {} if show.flights is None or again is None else show.flights(again)
 
 
 def _labels(rows: pd.DataFrame, timed: Collection[str], distinct: bool) -> _Labels:

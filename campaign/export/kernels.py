@@ -9,9 +9,9 @@ turn at a constant rate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -49,10 +49,19 @@ _IDENTITIES = {"estimate": _Identity(-999, "BORESIGHT_CAMERA"), "truth": _Identi
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """NAIF identifier of the body at the centre, and ET, s past J2000 TDB, at which the time of a run is 0."""
+    """NAIF identifier of the body at the centre, and ET, s past J2000 TDB, at which the time of a run is 0.
+
+    ``clock_s`` is the time of the run at which the clock of the CK is 0. It has no time before.
+    """
 
     body: int = BODY_ID
     et: float = 0.0
+    clock_s: int = 0
+
+    def before(self, flights: Iterable[Mapping[str, Flight]]) -> Origin:
+        """Return the origin with a clock that begins at a whole second before all flights, and not after time 0."""
+        first_s = min((flight.attitude_times_s[0] for each in flights for flight in each.values()), default=0.0)
+        return replace(self, clock_s=min(int(np.floor(first_s)), 0))
 
 
 def flights_of(frames: Sequence[PosedFrame]) -> dict[str, Flight]:
@@ -86,7 +95,7 @@ def write_kernels(name: str, flights: Mapping[str, Flight], origin: Origin, out:
             write_atomically(written[-1], partial(_write_spk, flight, own, origin))
         if len(flight.attitude_times_s):
             written.append(stem.with_name(f"{stem.name}.bc"))
-            write_atomically(written[-1], partial(_write_ck, flight, own))
+            write_atomically(written[-1], partial(_write_ck, flight, own, origin))
     return written
 
 
@@ -105,10 +114,10 @@ def _write_spk(flight: Flight, own: _Identity, origin: Origin, path: Path) -> No
         )  # fmt: skip
 
 
-def _write_ck(flight: Flight, own: _Identity, path: Path) -> None:
+def _write_ck(flight: Flight, own: _Identity, origin: Origin, path: Path) -> None:
     """Write attitudes that turn at a constant rate from one to the next."""
     times_s, first = np.unique(flight.attitude_times_s, return_index=True)
-    ticks = _TICKS_PER_S * times_s
+    ticks = _TICKS_PER_S * (times_s - origin.clock_s)
     with _new_file(path, own, spiceypy.ckopn, spiceypy.ckcls) as handle:
         quat_wxyz = np.array([spiceypy.m2q(matrix) for matrix in flight.R_cam_inertial[first]])
         spiceypy.ckw03(
@@ -153,7 +162,7 @@ def write_definitions(origin: Origin, out: Path) -> Path:
         f"SCLK01_N_FIELDS_{number} = ( 2 )", f"SCLK01_MODULI_{number} = ( {_SECONDS} {_TICKS_PER_S} )",
         f"SCLK01_OFFSETS_{number} = ( 0 0 )", f"SCLK01_OUTPUT_DELIM_{number} = ( 1 )",
         f"SCLK_PARTITION_START_{number} = ( 0 )", f"SCLK_PARTITION_END_{number} = ( {_SECONDS * _TICKS_PER_S - 1} )",
-        f"SCLK01_COEFFICIENTS_{number} = ( 0 {origin.et!r} 1 )", r"\begintext", "",
+        f"SCLK01_COEFFICIENTS_{number} = ( 0 {origin.et + origin.clock_s!r} 1 )", r"\begintext", "",
     ]  # fmt: skip
     path = out / "boresight.tf"
     write_text(path, "\n".join(lines))

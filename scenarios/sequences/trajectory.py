@@ -131,7 +131,8 @@ class CameraTrajectory:
     ``times_s`` (F,) are epochs of the frames, the first at 0. Positions and velocities (F, 3) are in inertial axes
     about the body's centre of mass, ``R_body_inertial`` (F, 3, 3) is the attitude of the body, ``poses`` are
     T_cam_body, ``suns_body`` (F, 3) directions to the Sun. ``radiation_m_s2`` (3,) is the acceleration by sunlight,
-    inertial axes. ``anomaly_deg`` (F,) counts from the first frame; NaN along given states.
+    inertial axes. ``anomaly_deg`` (F,) counts from the first frame; NaN along given states. ``start_s`` is the epoch
+    of the first of given states.
     """
 
     times_s: FloatArray
@@ -142,6 +143,7 @@ class CameraTrajectory:
     suns_body: FloatArray
     radiation_m_s2: FloatArray
     anomaly_deg: FloatArray
+    start_s: float = 0.0
 
     def views(self, camera: Camera) -> tuple[View, ...]:
         """Return the views of all frames."""
@@ -206,7 +208,8 @@ def _given_trajectory(flown: SequenceTrajectorySpec, motion: BodyMotionSpec) -> 
         if flown.sun_dir is not None and flown.rotation is not None:
             sun_dir = flown.rotation.matrices(np.array(states.time_s[:1]))[0] @ sun_dir
         suns = turns @ (sun_dir / np.linalg.norm(sun_dir))
-    return CameraTrajectory(times, positions, velocities, turns, poses, suns, np.zeros(3), np.full(len(times), np.nan))
+    nowhere = np.full(len(times), np.nan)
+    return CameraTrajectory(times, positions, velocities, turns, poses, suns, np.zeros(3), nowhere, states.time_s[0])
 
 
 def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:

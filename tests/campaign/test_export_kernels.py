@@ -133,6 +133,34 @@ def test_spice_finds_the_determined_orbit(orbit, tmp_path):
             np.testing.assert_allclose(spiceypy.pxform("J2000", CAMERA, et), matrix, atol=1e-9)
 
 
+STATES = """\
+extends: apophis-sphere-sequence
+sequence:
+  trajectory: {table: way.csv}
+  body_motion: {kind: spin, period_h: 30.4, axis_body: [0, 0.2, 1]}
+"""
+
+
+def test_a_sequence_along_a_table_has_its_epochs(cache, tmp_path):
+    times_s = [-600.25, -300.0, 0.0, 150.5, 400.0]
+    lines = ["time_s,x_m,y_m,z_m", *(f"{time_s},790,{0.1 * time_s},5" for time_s in times_s)]
+    (tmp_path / "way.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    run = run_of(tmp_path, STATES, "sequence", "dead-reckoning")
+    assert export(run, tmp_path / "tum", "--to", "tum") == 0
+    lines = np.loadtxt(tmp_path / "tum" / "scene_dead-reckoning_0000000.truth.tum")
+    assert lines[:, 0].tolist() == times_s
+    for number, start_et in enumerate((0.0, 6e8)):
+        out = tmp_path / f"spice{number}"
+        assert export(run, out, "--to", "spice", "--start-et", start_et) == 0
+        with kernels(out):
+            cover = spiceypy.spkcov(str(out / "scene_dead-reckoning_0000000.truth.bsp"), -998)
+            assert list(spiceypy.wnfetd(cover, 0)) == [start_et - 600.25, start_et + 400.0]
+            for line in lines:
+                np.testing.assert_allclose(state_m(TRUE, start_et + line[0])[:3], line[1:4], atol=1e-9)
+                turn = spiceypy.pxform(TRUE, "J2000", start_et + line[0])
+                np.testing.assert_allclose(turn, Rotation.from_quat(line[4:]).as_matrix(), atol=1e-10)
+
+
 def frames(times_s):
     rng = np.random.default_rng(4)
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))

@@ -265,7 +265,10 @@ def posed(shown: FollowedSequence, case: Case) -> PosedFrames:
 
 
 def trajectory(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> list[PosedFrame]:
-    """Combine the stored positions of a sequence with its attitudes, true and as known on board, in inertial space."""
+    """Combine the stored positions of a sequence with its attitudes, true and as known on board, in inertial space.
+
+    Epochs are those of the given states; on an orbit the first is 0.
+    """
     trials: SequenceTrials = opened(campaign, case.scenario, folder.path)
     epochs = folder.of_trial("epochs", case.scenario, case.estimator, case.trial).to_pylist()
     if not epochs:
@@ -278,7 +281,8 @@ def trajectory(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> lis
         true, estimated = (
             Pose(turn, -turn @ place, from_frame="inertial") for turn, place in zip(turns, at, strict=True)
         )
-        frames.append(PosedFrame(f"{index:06d}.tiff", float(epoch["time_s"]), true, estimated, seen.tracks, seen.uv_px))
+        time_s = path.start_s + float(epoch["time_s"])
+        frames.append(PosedFrame(f"{index:06d}.tiff", time_s, true, estimated, seen.tracks, seen.uv_px))
     return frames
 
 
