@@ -24,6 +24,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.campaign import RUNS
+from boresight.reports.schema.datapackage import FILE, stored_fields, write_data_package
 from boresight.reports.schema.tables import TABLES, layout, refuse_older, schema
 from boresight.scenarios import checksums
 from boresight.scenarios.atomic import make_folder, write_atomically, write_text
@@ -202,10 +203,19 @@ class RunFolder:
         """Write the manifest atomically."""
         write_text(self.path / "manifest.json", json.dumps(manifest, indent=1, sort_keys=True, default=str) + "\n")
 
+    def write_data_package(self, experiment: str) -> None:
+        """Write ``datapackage.json``, which describes the files of every table that a run of a kind of trial has."""
+        found = {}
+        for name in TABLES:
+            files = sorted(f"{name}/{path.name}" for path in (self.path / name).glob("*.parquet"))
+            if files:
+                found[name] = files, stored_fields(name, experiment)
+        write_data_package(found, "parquet", self.read_manifest() or {}, self.path)
+
     def sweep(self) -> None:
         """Remove what a killed process left half written; only for who holds the lock."""
         places = (*TABLES, checksums.FOLDER, "products", "images/*", "chain/**")
-        patterns = [".manifest.json.*.tmp", *(f"{place}/.*.tmp" for place in places)]
+        patterns = [".manifest.json.*.tmp", f".{FILE}.*.tmp", *(f"{place}/.*.tmp" for place in places)]
         for leftover in [path for pattern in patterns for path in self.path.glob(pattern)]:
             if leftover.is_dir():
                 shutil.rmtree(leftover, ignore_errors=True)

@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.campaign.export.datapackage import write_data_package
 from boresight.campaign.export.kernels import Origin, flights_of, write_definitions, write_kernels
 from boresight.campaign.export.sumfiles import write_sumfiles
 from boresight.campaign.inspection.recompute import (
@@ -39,6 +38,7 @@ from boresight.reports.figures.named import file_stem
 from boresight.reports.kinds import report_grids
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
+from boresight.reports.schema.datapackage import exported_fields, write_data_package
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_atomically, write_text
@@ -118,7 +118,8 @@ def _tables(folder: RunFolder, kind: str, choice: Choice, trials: Sequence[int] 
         meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
     columns = out / "columns.csv"
     _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), columns, "csv")
-    package = write_data_package(exported, kind, folder.read_manifest() or {}, out)
+    described = {name: (f"{name}.{kind}", exported_fields(name, table)) for name, table in exported.items()}
+    package = write_data_package(described, kind, folder.read_manifest() or {}, out)
     return [*(out / f"{name}.{kind}" for name in exported), columns, package]
 
 

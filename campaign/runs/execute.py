@@ -171,6 +171,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
             fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
             listener.message(f"images: {fresh} rendered or read, {kept} from the store")
         folder.write_manifest(manifests.updated(manifest, finished=manifests.now(manifest)))
+        folder.write_data_package(campaign.spec.experiment)
     return folder
 
 

@@ -9,6 +9,8 @@ import subprocess
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 from tiny_campaign import compute
@@ -20,6 +22,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.score import pose_of
 from boresight.reports.schema.grid import _SPECIAL, Grid
 from boresight.reports.schema.tables import TABLES, measure_label, unit_of
+from boresight.scenarios.checksums import damaged
 from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.load import load_scenario
 
@@ -237,6 +240,28 @@ def test_a_data_package_describes_every_column_of_the_files(tiny_run, tmp_path):
                 assert cell == "" or read[described["type"]](cell) is not None
     units = {field["name"]: field.get("unit") for field in resources["rows"]["schema"]["fields"]}
     assert (units["range_m"], units["phase_deg"], units["nees"], units["trial"]) == ("m", "deg", None, None)
+
+
+def described_rows(run):
+    """Return how many rows the files have that the data package of a run names, and check its fields with theirs."""
+    package, found = json.loads((run / "datapackage.json").read_text(encoding="utf-8")), {}
+    types = {"integer": pa.int64(), "number": pa.float64(), "boolean": pa.bool_(), "string": pa.string()}
+    for resource in package["resources"]:
+        fields = {field["name"]: types[field["type"]] for field in resource["schema"]["fields"]}
+        tables = [pq.read_table(run / path) for path in resource["path"]]
+        assert all(dict(zip(table.schema.names, table.schema.types, strict=True)) == fields for table in tables)
+        found[resource["name"]] = sum(len(table) for table in tables)
+    return found
+
+
+def test_the_folder_of_a_run_describes_its_tables_also_after_it_went_on(tiny_file, tmp_path):
+    tiny_file.write_text("scenarios: [scene]\nestimators: [prior]\ntrials: 2\nseed: 5\n", encoding="utf-8")
+    for trials in (2, 40):
+        compute(tiny_file, tmp_path / "run", trials)
+        stored = {name: len(RunFolder(tmp_path / "run").table(name)) for name in TABLES}
+        assert described_rows(tmp_path / "run") == {name: rows for name, rows in stored.items() if rows}
+        assert stored["rows"] == trials
+        assert list(damaged(tmp_path / "run")) == []
 
 
 def test_units_are_those_of_the_ends_of_names():
