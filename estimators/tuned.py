@@ -24,7 +24,7 @@ from boresight.scenarios.spec.base import SpecModel
 
 PRODUCT = "covariance-tuning"
 FILE = "tuning.json"
-VERSION = 2
+VERSION = 3
 """Version of the rehearsal and of the fit: raise it when factors change."""
 
 _LEAST_SOLVED = 20
@@ -78,7 +78,8 @@ class Rehearsed:
 class CovarianceTuning:
     """By how much a method understates the errors of its image, and how many rehearsals say so.
 
-    ``wrong`` of the ``solved`` images have an error beyond the 99.9 % quantile of the tuned covariance.
+    Of several declared reflectances it is of the one with the greatest factor. ``wrong`` of the ``solved`` images have
+    an error beyond the 99.9 % quantile of the tuned covariance.
     """
 
     factor: float
@@ -167,11 +168,12 @@ def check_solved(solved: int, trials: int, base: str) -> None:
 class TunedEstimator:
     """Another estimator with the covariance that its errors in rehearsals have.
 
-    Before the first image, the base is tried on simulated ones: the body is the shape on board with the errors that
-    the mission declares (``onboard.declared``), seen as the scenario says. One factor divides the information that the
-    base states, so that its NEES over these trials is that of a true covariance, where a few wrong answers count as
-    little as answers at the 99 % ellipsoid. The calibration's part (``onboard.camera_sigma``) is added afterwards. The
-    pose is that of the base.
+    Before the first image, the base is tried on simulated ones, seen as the scenario says: of a body with relief like
+    that of the shape on board, which the base knows with the errors that the mission declares (``onboard.declared``).
+    One factor divides the information that the base states, so that its NEES over these trials is that of a true
+    covariance, where a few wrong answers count as little as answers at the 99 % ellipsoid; of several reflectances
+    that are declared, the greatest factor counts. The calibration's part (``onboard.camera_sigma``) is added
+    afterwards. The pose is that of the base.
 
     Use it when
     -----------
@@ -180,12 +182,14 @@ class TunedEstimator:
     It fails when
     -------------
     The base solves fewer than 20 rehearsed images. The factor holds for errors as large as was declared, on average
-    over the views of the scenario: not for each view. Wrong answers are not covered: the build says how many there were
-    in rehearsals; ``consensus`` refuses them where another method contradicts.
+    over the views of the scenario: not for each view. It is too small where the shape on board is a file with errors
+    as large as its relief, for these are relief of the rehearsed body too. Wrong answers are not covered: the build
+    says how many there were in rehearsals; ``consensus`` refuses them where another method contradicts.
 
     Cost
     ----
-    That of its base, and ``tuning.trials`` images of it before the campaign.
+    That of its base. Before the campaign it makes the data bases of the base ``tuning.bodies`` times and estimates
+    ``tuning.trials`` images.
 
     Source
     ------
@@ -193,7 +197,7 @@ class TunedEstimator:
     """
 
     name: ClassVar[str] = "tuned"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = TunedOptions
     base: ClassVar[str] = "photometric"
 

@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 from typing import TypeGuard
 
@@ -46,18 +46,29 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     if scenario.spec.viewpoint is None:
         raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
     _check_declared(scenario.spec, options.bodies)
-    # The data bases of the base are made once, before workers ask for them.
     with tempfile.TemporaryDirectory() as place:
-        _method(scenario, options, Path(place), jobs, variant)
+        # The data bases of the base are made before workers ask for them.
+        for number in range(options.bodies):
+            _method(rehearsed_scenario(scenario, options, number), options, Path(place) / str(number), jobs, variant)
         # The method takes longer than the image: with the chunks of the image store, few trials would keep few workers.
         share = math.ceil(options.trials / jobs)
         found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=share)
-    solved = [one for one in found if one is not None]
-    check_solved(len(solved), options.trials, options.base)
-    tuning = fit_tuning(solved, options.trials)
+    laws = len(_laws(_declared(scenario.spec)))
+    # The surface has one law in all images: the covariance must hold for each.
+    of_law = [
+        [one for trial, one in enumerate(found) if one is not None and _number(options, trial) % laws == law]
+        for law in range(laws)
+    ]
+    check_solved(laws * min(map(len, of_law)), options.trials, options.base)
+    tuning = max((fit_tuning(own, options.trials // laws) for own in of_law), key=lambda one: one.factor)
     tuning.save(folder)
     solved_of = f"{tuning.solved} of {tuning.trials}"
     return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": solved_of, "wrong": tuning.wrong}
+
+
+def _number(options: Rehearsals, trial: int) -> int:
+    """Return the number of the rehearsed body of a trial."""
+    return trial * options.bodies // options.trials
 
 
 def _declared(spec: ScenarioSpec) -> DeclaredSpec:
@@ -78,11 +89,6 @@ def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
         )
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
         raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
-    if detail is not None and errors.relief_below_m is None and (errors.facets or 0) > detail.facets:
-        raise NoProductError(
-            f"onboard.declared.facets: {errors.facets} are more than the {detail.facets} on board, and what they add is"
-            " not known there: give relief_below_m too"
-        )
 
 
 def _method(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int | None, variant: str) -> Estimator:
@@ -94,14 +100,17 @@ def _of_images(
     scenario: LoadedScenario, options: Rehearsals, variant: str, folder: Path, trials: Sequence[int]
 ) -> list[Rehearsed | None]:
     """Rehearse some trials; None where the base failed."""
-    method = _method(scenario, options, folder, None, variant)
-    return [_rehearse(method, scenario, options, variant, trial) for trial in trials]
+    found: list[Rehearsed | None] = []
+    for number, own in groupby(trials, lambda trial: _number(options, trial)):
+        played = rehearsed_scenario(scenario, options, number)
+        method = _method(played, options, folder / str(number), None, variant)
+        found += [_rehearse(method, played, options, variant, trial) for trial in own]
+    return found
 
 
 def _rehearse(
-    method: Estimator, scenario: LoadedScenario, options: Rehearsals, variant: str, trial: int
+    method: Estimator, played: LoadedScenario, options: Rehearsals, variant: str, trial: int
 ) -> Rehearsed | None:
-    played = rehearsed_scenario(scenario, options, trial * options.bodies // options.trials)
     world, seed = open_world(played, variant), options.seed + _SEED
     image = world.source.trial_image(seed, trial)
     observation = observe(world, image, seed, trial)
@@ -126,30 +135,34 @@ def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
 
 
 def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
-    """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors.
+    """Return the scenario of a rehearsal: a body like the one on board, and what is known of it, with declared errors.
 
-    Bodies have the declared reflectances in turn. The camera has artefacts of the kind and size of the flight camera's,
-    and another pattern of pixels.
+    As in flight, the method has the errors and the images have not. Relief is drawn anew with the statistics of that on
+    board, which has false relief of its own: images of it would tell the method more than images of the true body do.
+    A shape without ``detail`` is taken as it is. Bodies have the declared reflectances in turn. The camera has
+    artefacts of the kind and size of the flight camera's, and another pattern of pixels.
     """
     errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
-    body, detail = spec.body, spec.body.detail
-    if detail is not None:
-        facets = {} if errors.facets is None else {"facets": errors.facets}
-        below_m = errors.relief_below_m
-        if below_m is not None and detail.redrawn is not None:
-            # What is redrawn on board already must not come back as the truth has it.
-            below_m = max(below_m, detail.redrawn.below_m)
-        relief = {} if below_m is None else {"redrawn": RedrawnSpec(below_m=below_m, seed=seed)}
-        detail = detail.model_copy(update={**facets, **relief})
-    heights = errors.height_error
+    body, heights = spec.body, errors.height_error
+    known: dict[str, object] = {}
     if heights is not None:
         heights = heights.model_copy(update={"seed": seed})
-        if body.height_error is not None:
-            heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
-    played = body.model_copy(update={"detail": detail, "height_error": heights or body.height_error})
-    onboard = OnboardSpec(body=body, brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
+    if body.detail is not None:
+        like = body.detail.model_copy(update={"seed": seed, "redrawn": None})
+        body = body.model_copy(update={"detail": like, "height_error": None})
+        if errors.facets is not None:
+            finer = like.model_copy(update={"facets": errors.facets})
+            body, known["detail"] = body.model_copy(update={"detail": finer}), like
+        if errors.relief_below_m is not None:
+            small = RedrawnSpec(below_m=errors.relief_below_m, seed=seed + options.bodies)
+            known["detail"] = like.model_copy(update={"redrawn": small})
+    elif body.height_error is not None and heights is not None:
+        heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
+    if heights is not None:
+        known["height_error"] = heights
+    onboard = OnboardSpec(body=body.model_copy(update=known), brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
     law = _laws(errors)[number % len(_laws(errors))]
-    changes: dict[str, object] = {"body": played, "brdf": law or spec.brdf, "onboard": onboard}
+    changes: dict[str, object] = {"body": body, "brdf": law or spec.brdf, "onboard": onboard}
     if spec.detector is not None and spec.detector.pixels is not None:
         pixels = spec.detector.pixels.model_copy(update={"seed": (spec.detector.pixels.seed + seed) % 2**32})
         changes["detector"] = spec.detector.model_copy(update={"pixels": pixels})
