@@ -116,6 +116,24 @@ def test_too_few_matches_agree_on_nothing():
     assert not fundamental_inliers(np.zeros((5, 2)), np.zeros((5, 2)), 1.0).any()
 
 
+def test_matches_on_which_opencv_fails_an_assertion_have_inliers_all_the_same():
+    """Eight of an image whose MAGSAC ended in an empty model: an error that would end a run."""
+    matches = np.array(
+        [
+            *(
+                [97.0, 34.0, 173.0, 74.5],
+                [89.5, 82.0, 79.3, 82.1],
+                [130.1, 64.5, 121.0, 64.3],
+                [41.0, 74.7, 34.0, 74.8],
+            ),
+            *([100.0, 78.0, 120.0, 55.3], [86.8, 59.3, 77.7, 59.4], [150.8, 81.5, 142.1, 81.4]),
+            [118.7, 84.5, 108.6, 84.6],
+        ]
+    )
+    for limit_px in (1.0, 2.0):
+        assert fundamental_inliers(matches[:, :2], matches[:, 2:], limit_px).shape == (8,)
+
+
 def test_the_local_flow_is_the_affine_map_that_was_applied():
     rng = np.random.default_rng(6)
     before = rng.uniform(20, 236, (200, 2))

@@ -167,10 +167,17 @@ def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: fl
 
 
 def fundamental_inliers(before_px: FloatArray, after_px: FloatArray, limit_px: float) -> BoolArray:
-    """(K,) which matches (K, 2) and (K, 2) are inliers of the best fundamental matrix: RANSAC by OpenCV (MAGSAC)."""
+    """(K,) which matches (K, 2) and (K, 2) are inliers of the best fundamental matrix: RANSAC by OpenCV (MAGSAC).
+
+    OpenCV's plain RANSAC, where an assertion within its MAGSAC fails.
+    """
     if len(before_px) < _FUNDAMENTAL_LEAST:
         return np.zeros(len(before_px), dtype=np.bool_)
-    matrix, mask = cv2.findFundamentalMat(before_px, after_px, cv2.USAC_MAGSAC, limit_px, _CONFIDENCE, _MOST_ITERATIONS)
+    asked = (limit_px, _CONFIDENCE, _MOST_ITERATIONS)
+    try:
+        matrix, mask = cv2.findFundamentalMat(before_px, after_px, cv2.USAC_MAGSAC, *asked)
+    except cv2.error:  # some ordinary matches lead it to an empty model
+        matrix, mask = cv2.findFundamentalMat(before_px, after_px, cv2.FM_RANSAC, *asked)
     if matrix is None or mask is None:
         return np.zeros(len(before_px), dtype=np.bool_)
     return np.asarray(mask).ravel().astype(np.bool_)
