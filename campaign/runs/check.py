@@ -11,6 +11,7 @@ from boresight.campaign.imaging.world import check_bodies, trial_limit
 from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names, core_seconds, in_words, needs_of_scenario
+from boresight.campaign.runs.unused import check_used, widest_kind
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.records import CONTROLS, count_of
@@ -112,8 +113,10 @@ def check_data(campaign: ResolvedCampaign) -> None:
 def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int | None, tuple[Body, Body]]:
     """Read images and bodies of a scenario, and check it for a kind of trial, by default the one of its own section.
 
-    Return how many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
+    Refuse keys that these trials would ignore. Return how many trials its real images allow, None if images are
+    rendered; and its bodies, see `check_bodies`.
     """
+    check_used(scenario, kind_named(experiment or widest_kind(scenario.spec)))
     limit, bodies, kind = trial_limit(scenario), check_bodies(scenario), kind_named(experiment or kind_of(scenario))
     unseen = [key for key in ("second_body", "stars") if getattr(scenario.spec, key) is not None]
     if unseen and kind.name in _WITHOUT_IMAGES:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from boresight.scenarios.load import LoadedScenario
     from boresight.scenarios.spec.base import SpecModel
     from boresight.scenarios.spec.campaign import EstimatorSpec
+    from boresight.scenarios.spec.scenario import ScenarioSpec
 
 Truth = TypeVar("Truth")
 Observed = TypeVar("Observed")
@@ -149,6 +150,15 @@ class Trials(ABC):
     @abstractmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Raise BoresightError for a scenario on which trials cannot run."""
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        """Return the sections and dotted keys of a scenario that neither methods nor scores of its trials depend on.
+
+        They are refused where they are given, see `campaign.runs.unused`; those that no scenario of the kind can have
+        are not among them.
+        """
+        return ()
 
     @classmethod
     @abstractmethod

@@ -6,7 +6,7 @@ import difflib
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
@@ -112,11 +112,17 @@ Spec = TypeVar("Spec", bound=SpecModel)
 
 @dataclass(frozen=True, slots=True)
 class LoadedScenario:
-    """A scenario, its file, and the folders that are searched for its data."""
+    """A scenario, its file, and the folders that are searched for its data.
+
+    ``keys`` are those that are given, with their locations, and ``file_keys`` those that its file and the files that it
+    extends give, before the overrides; both are None for a scenario that was read from a manifest.
+    """
 
     spec: ScenarioSpec
     path: Path
     search_dirs: tuple[Path, ...]
+    keys: ConfigEntry | None = field(default=None, compare=False, repr=False)
+    file_keys: ConfigEntry | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +176,15 @@ def load_scenario(
     body are filled in. Raise BoresightError with one line for each fault: file, line, key, value and what is allowed.
     """
     path = find(name_or_path, CATALOG, near)
-    root, folders = _read_chain(path, CATALOG, ScenarioSpec)
+    file, folders = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [
         settings(one if isinstance(one, ConfigEntry) else entry_of(one, "grid"), (ScenarioSpec,)) for one in levels
     ]
     layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
-    section = apply(root, layers, (ScenarioSpec,)).section or {}
+    section = apply(file, layers, (ScenarioSpec,)).section or {}
     # ``section: null`` restores the default of an inherited section.
-    root = ConfigEntry({key: entry for key, entry in section.items() if entry.value is not None}, root.place)
+    root = ConfigEntry({key: entry for key, entry in section.items() if entry.value is not None}, file.place)
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, folders, embedded))
@@ -192,7 +198,7 @@ def load_scenario(
         onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
         second = spec.second_body and spec.second_body.model_copy(update={"body": spec.second_body.body.embedded()})
         spec = spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard, "second_body": second})
-    return LoadedScenario(spec, path, folders)
+    return LoadedScenario(spec, path, folders, root, file)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:

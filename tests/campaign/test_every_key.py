@@ -1,7 +1,8 @@
 """Every key of the scenario schema changes the result: a dispersion that is never applied is the classic silent fault.
 
 One key at a time is overridden as on the command line, in a scenario where it applies, and the fingerprint of what
-an estimator sees (image, prior pose, its covariance, the Sun) and of the truth must change.
+an estimator sees (image, prior pose, its covariance, the Sun) and of the truth must change. Where another kind of trial
+has no use for the key, it must be refused.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from fingerprints import fingerprint
 from key_scenes import FLIGHT, KERNELS, SCENES, write_scenes
 from pydantic.fields import FieldInfo
 
+from boresight.campaign.runs.unused import check_used
+from boresight.campaign.trial.kind import kind_named, kind_names
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.base import SpecModel
@@ -136,6 +139,70 @@ NO_RESULT = {
     "pose_error.attitude.axis": "has one value",
 }
 
+# What is not as it is left out in the scene, but for lengths.
+LEFT_OUT = ("orbit.imaging.craters.count=600", "orbit.imaging.errors.least_radius_px=6")
+# Kinds of trial beside single images, each with scenes and what is overridden in these.
+KINDS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("sequence", "sequence", ()),
+    ("sequence", "egg", ()),
+    ("sequence", "tracks", ()),
+    ("sequence", "images", ("detector={psf_sigma_px: 0.3}",)),
+    ("crater-matching", "pairs", ()),
+    ("crater-matching", "seen-pairs", ()),
+    ("orbit-determination", "orbit", ()),
+    ("crater-navigation", "imaged", ("craters=null",)),
+    ("crater-navigation", "imaged", ("orbit.imaging.detections=rendered", *LEFT_OUT)),
+    ("image-survey", "imaged", ("craters=null",)),
+    ("approach-orbit", "arriving", ()),
+    ("crater-detection", "cratered", ()),
+    ("landmark-database", "rendered", ()),
+    ("pose-convergence", "rendered", ()),
+)
+# Another value of each section that scenarios of all kinds can have, and of keys in them that only images show.
+ELSEWHERE = {
+    "body": "{shape: itokawa-like}",
+    "body.shading": "smooth",
+    "body.albedo_map": "{file: map.png, left_deg: 20, unity: 90}",
+    "craters": "{count: 20, min_diameter_m: 30, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30, roughness: null}",
+    "camera.fov_deg": "11",
+    "camera.distortion": "{k1: 1.5}",
+    "rendering": "{samples_per_pixel: 9}",
+    "detector": "{psf_sigma_px: 0.9}",
+    "brdf": "{kind: oren-nayar}",
+    "lighting.phase_deg": "{uniform: [50, 80]}",
+    "lighting.brightness": "0.5",
+    "lighting.measure": "angle",
+    "correlated": "{keys: [lighting.phase_deg, viewpoint.roll_deg], correlation: [[1, 0.9], [0.9, 1]]}",
+    "stars": "{sun_distance_au: 20}",
+    "second_body": "{body: {shape: dimorphos-like}, semi_major_axis_m: 800}",
+    "pose_error": "{position_cam_m: {normal: [9, 9, 9]}}",
+    "sensors": "{altimeter: {sigma_m: 5}}",
+    **{
+        f"onboard.{key}": value
+        for key, value in {
+            "brdf": "{kind: oren-nayar}",
+            "body": "{shape: itokawa-like}",
+            "facets": "20000",
+            "albedo": "uniform",
+            "focal_error": "0.01",
+            "camera_sigma": "{focal: 0.01}",
+            "distortion_error": "0.5",
+            "sun_error_deg": "{uniform: [5, 5]}",
+            "pole_error_deg": "{uniform: [1, 1]}",
+            "rotation_error_deg": "{uniform: [1, 1]}",
+            "pose_error": "{position_cam_m: {normal: [9, 9, 9]}}",
+            "declared": "{facets: 3000}",
+        }.items()
+    },
+    "viewpoint.keep_clear_px": "[[0, 0, 48, 5]]",
+    "viewpoint.off_pointing_deg": "1",
+    "crater_pairs.errors": "{recall: 0.4}",
+    "orbit.sightings": "{per_image: 4}",
+    "orbit.radiometry": "{interval_h: 2}",
+    "orbit.imaging.craters": "{count: 500, min_diameter_m: 20, max_diameter_m: 100}",
+    "orbit.imaging.errors": "{recall: 0.4}",
+}
+
 
 def leaves(model: type[SpecModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
     """Yield the dotted name of every key of the schema that holds a value, with its field."""
@@ -239,3 +306,28 @@ def test_changing_the_key_alone_changes_the_result(key: str, place: Path):
 def test_the_fingerprint_itself_stands_still(place: Path):
     file = place / "rendered.yaml"
     assert not differ(fingerprint(file), before(file))
+
+
+def test_all_kinds_and_all_sections_are_tried():
+    assert {kind for kind, _, _ in KINDS} == {*kind_names()} - {"single-image"}
+    tried = {key.split(".")[0] for key in ELSEWHERE}
+    assert tried | {"images", "sequence", "name", "description"} == set(ScenarioSpec.model_fields)
+
+
+@pytest.mark.parametrize(("kind", "scene", "base"), KINDS)
+def test_a_key_reaches_the_trials_of_a_kind_or_is_refused(kind, scene, base, place: Path):
+    file, ignored = place / f"{scene}.yaml", []
+    loaded = load_scenario(str(file), base)
+    check_used(loaded, kind_named(kind))
+    before = tee(fingerprint(file, base, kind), 1)[0]
+    for key, value in ELSEWHERE.items():
+        section, overrides = key.split(".")[0], (*base, f"{key}={value}")
+        if section in ScenarioSpec.alternatives[0] and getattr(loaded.spec, section) is None:
+            continue  # it would make another kind of scenario
+        try:
+            check_used(load_scenario(str(file), overrides), kind_named(kind))
+        except BoresightError as error:
+            assert section in str(error)
+        else:
+            ignored += [] if differ(fingerprint(file, overrides, kind), copy(before)) else [key]
+    assert ignored == []

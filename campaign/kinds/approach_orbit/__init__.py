@@ -28,6 +28,7 @@ from boresight.campaign.kinds.single_image import check as check_estimate
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, located
+from boresight.campaign.trial.unused import LENS, OF_OBSERVATIONS, SUN_OF_VIEWS
 from boresight.estimators.contract import Estimator
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
@@ -51,6 +52,7 @@ from boresight.scenarios.orbits.true_orbit import (
     true_views,
 )
 from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,22 +93,16 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
-        """Refuse missing sections, an orbit that is no approach, and what these trials would ignore."""
-        section, spec = checked_orbit_section(scenario), scenario.spec
+        """Refuse missing sections, and an orbit that is no approach."""
+        section = checked_orbit_section(scenario)
         for name, part in (("imaging", section.imaging), ("arc.approach", section.arc.approach)):
             if part is None:
                 raise BoresightError(f"{scenario.path}: orbit.{name}: missing, but the experiment {cls.name} needs it")
-        sections = (
-            ("craters", spec.craters),
-            ("camera.distortion", spec.camera.distortion),
-            ("sensors.altimeter", spec.sensors.altimeter),
-        )
-        unused = [key for key, part in sections if part is not None]
-        unused += [f"orbit.{key}" for key in section.stated("sightings")]
-        if section.imaging is not None:
-            unused += [f"orbit.imaging.{key}" for key in section.imaging.stated("detections", "craters", "errors")]
-        if unused:
-            raise BoresightError(f"{scenario.path}: {unused[0]}: has no effect in {cls.name}: leave it out")
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        drawn = ("orbit.sightings", *(f"orbit.imaging.{key}" for key in ("detections", "craters", "errors")))
+        return (*SUN_OF_VIEWS, *OF_OBSERVATIONS, *LENS, "craters", *drawn)
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:

@@ -33,6 +33,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 DetectedImage = InspectedTrial[CraterTruth, Observation, CraterDetections]
 """A trial of one detector, for inspection."""
@@ -83,6 +84,11 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
                 " sections"
             )
         check_listed(scenario)
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        models = ("brdf", "body", "facets", "relief", "height_error", "albedo", "camera_sigma", "declared")
+        return tuple(f"onboard.{key}" for key in models)
 
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:

@@ -24,6 +24,7 @@ from boresight.campaign.trial.checks import check_array, check_indices, check_re
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner, Unbuilt, located
 from boresight.campaign.trial.score import view_columns
+from boresight.campaign.trial.unused import LENS, OF_IMAGES, SUN_OF_VIEWS
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from boresight.estimators.craters.matching.context import epipolar_offsets
 from boresight.estimators.registry import crater_detector_class, crater_detector_names, crater_matcher_class
@@ -36,6 +37,7 @@ from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.campaign import EstimatorSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 MatchedPair = InspectedTrial[CraterPair, tuple[CraterImage, CraterImage], CraterMatches]
 """A trial of one matcher, for inspection."""
@@ -98,6 +100,12 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         """Refuse a missing section, and images of no craters."""
         if _section(scenario).images is not None and scenario.spec.craters is None:
             raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        if spec.crater_pairs is None or spec.crater_pairs.images is None:
+            return (*OF_IMAGES, *LENS, "sensors")
+        return (*SUN_OF_VIEWS, *LENS, "sensors", "crater_pairs.errors")
 
     @classmethod
     def build(cls, entry: EstimatorSpec) -> CraterMatcher:

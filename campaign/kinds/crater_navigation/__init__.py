@@ -32,6 +32,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, MethodRunner
 from boresight.campaign.trial.score import check_listed
+from boresight.campaign.trial.unused import LENS, OF_IMAGES, OF_OBSERVATIONS, SUN_OF_VIEWS
 from boresight.estimators.craters.navigation.rounds import (
     CraterNavigation,
     NavigationResult,
@@ -49,6 +50,7 @@ from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.orbits.draw import OrbitTruth
 from boresight.scenarios.orbits.true_orbit import DAY_S, epochs_s, imaging_of
 from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +109,14 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationTrial, Nav
             )
         if imaging.detections == "rendered":
             check_listed(scenario)
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        imaging = None if spec.orbit is None else spec.orbit.imaging
+        if imaging is not None and imaging.detections == "drawn":
+            return (*OF_IMAGES, *OF_OBSERVATIONS, *LENS, "orbit.sightings")
+        drawn = ("orbit.sightings", "orbit.imaging.craters", "orbit.imaging.errors")
+        return (*SUN_OF_VIEWS, *OF_OBSERVATIONS, *LENS, *drawn)
 
     @classmethod
     def open(

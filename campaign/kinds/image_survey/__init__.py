@@ -18,6 +18,7 @@ from boresight.campaign.kinds.orbit_determination import checked_orbit_section, 
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
 from boresight.campaign.trial.runner import TrialRunner, located
+from boresight.campaign.trial.unused import LENS, OF_IMAGES, OF_OBSERVATIONS
 from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
 from boresight.estimators.craters.navigation.rounds import StageFiles
@@ -29,6 +30,7 @@ from boresight.scenarios.geometry import View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.orbits.true_orbit import DAY_S, imaging_of
 from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 FEW = 7
 """So many craters or fewer are few: half the images of Cheng et al. (2003) have no more."""
@@ -107,6 +109,10 @@ class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
             raise BoresightError(
                 f"{scenario.path}: orbit.imaging: the experiment image-survey needs it, with detections: drawn"
             )
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        return (*OF_IMAGES, *OF_OBSERVATIONS, *LENS, "orbit.sightings", "orbit.radiometry")
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, None]:

@@ -13,6 +13,7 @@ from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.resolved import ResolvedCampaign, drafted
 from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
 from boresight.campaign.trial.runner import GaveUpError, TrialRunner, located, require_built
+from boresight.campaign.trial.unused import LENS, OF_OBSERVATIONS
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.database import (
     METHOD_VERSION,
@@ -23,6 +24,7 @@ from boresight.estimators.landmark.database import (
 from boresight.estimators.options import parse_options
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +64,19 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a scenario without views."""
         check_views(scenario)
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        aimed = spec.viewpoint is not None and bool(spec.viewpoint.targets)
+        views = ("roll_deg", "off_pointing_deg", "latitude_deg", "keep_clear_px")
+        told = ("pose_error", "camera_sigma", "declared", "distortion_error")
+        wrong = ("sun_error_deg", "pole_error_deg", "rotation_error_deg")
+        return (
+            *("detector", "lighting.phase_deg", "lighting.brightness", *(() if aimed else ("lighting.measure",))),
+            *("correlated", "second_body", "stars", *OF_OBSERVATIONS, *LENS),
+            *(f"viewpoint.{key}" for key in views),
+            *(f"onboard.{key}" for key in (*told, *wrong)),
+        )
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:

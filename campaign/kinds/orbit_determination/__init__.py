@@ -29,6 +29,7 @@ from boresight.campaign.trial.checks import (
 from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.score import nees
+from boresight.campaign.trial.unused import LENS, OF_IMAGES, OF_OBSERVATIONS
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate, OrbitEstimator
 from boresight.estimators.registry import orbit_estimator_class
 from boresight.scenarios.arrays import FloatArray, IndexArray
@@ -41,6 +42,7 @@ from boresight.scenarios.orbits.draw import OrbitTruth, draw_orbit
 from boresight.scenarios.orbits.true_orbit import DAY_S
 from boresight.scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
 from boresight.scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _STATE = 6
 _AXES = 3
@@ -79,6 +81,10 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a missing section, and an orbit that begins in the body."""
         checked_orbit_section(scenario)
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        return (*OF_IMAGES, *OF_OBSERVATIONS, *LENS, "orbit.imaging")
 
     @classmethod
     def open(

@@ -144,6 +144,14 @@ class PoseConvergence(Trials):
             raise BoresightError(f"{scenario.path}: onboard.pose_error has no part in {NAME}: leave it out")
 
     @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        told = ("sun_error_deg", "pole_error_deg", "rotation_error_deg", "camera_sigma", "pose_error", "declared")
+        return (
+            *("detector", "lighting.brightness", "second_body", "stars", "sensors", "viewpoint.keep_clear_px"),
+            *(f"onboard.{key}" for key in told),
+        )
+
+    @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, PoseSolverOptions]:
         """Return the options of each solver; refuse wrong ones, and solvers of different data bases."""
         found = {}

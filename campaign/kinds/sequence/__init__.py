@@ -17,6 +17,7 @@ from boresight.campaign.kinds.sequence.score import check_sequence, parameter_er
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
+from boresight.campaign.trial.unused import LENS, OF_IMAGES, OF_OBSERVATIONS, SUN_OF_VIEWS
 from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from boresight.scenarios.bodies import load_body
@@ -36,6 +37,7 @@ from boresight.scenarios.sequences import (
     draw_sequence,
     nominal_trajectory,
 )
+from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 
 FollowedSequence = InspectedTrial[SequenceTruth, TrackSequence, SequenceEstimate]
@@ -83,6 +85,14 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
                 f"{scenario.path}: sequence: nothing of the body is in the frame in all {len(views)} frames: check"
                 " camera.principal_point_px, and the attitudes of a trajectory"
             )
+
+    @classmethod
+    def unused(cls, spec: ScenarioSpec) -> tuple[str, ...]:
+        section = spec.sequence
+        if section is not None and section.images is not None:
+            return (*SUN_OF_VIEWS, *OF_OBSERVATIONS)
+        body = () if section is None or section.sphere_radius_m is None else ("body",)
+        return (*OF_IMAGES, *OF_OBSERVATIONS, *LENS, *body)
 
     @classmethod
     def open(
