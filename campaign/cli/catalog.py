@@ -8,6 +8,7 @@ import json
 import shlex
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
 from importlib import resources
 from pathlib import Path
@@ -231,18 +232,35 @@ def validate_command(arguments: argparse.Namespace) -> int:
 
     if is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)
+        told = _tell_memory(campaign.scenarios)
         check_campaign(campaign, campaign.spec.trials)
         lines = preflight(campaign.scenarios, campaign.spec)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
     else:
         scenario = load_scenario(arguments.file, arguments.overrides)
+        told = _tell_memory((scenario,))
         check_scenario(scenario)
         lines = preflight((scenario,))
         what = f"the scenario {scenario.spec.name}"
     console().print(f"{arguments.file}: ok, {what}")
     for line in lines:
-        console().print(line)
+        if line not in told:
+            console().print(line)
     return 0
+
+
+def _tell_memory(scenarios: Sequence[LoadedScenario]) -> set[str]:
+    """Print the size of large bodies before they are made, and return the lines; checks report what is wrong."""
+    from boresight.campaign.imaging.preview import memory_in_words
+
+    told: dict[str, str] = {}  # to the name of the first scenario
+    for scenario in scenarios:
+        with suppress(BoresightError):
+            for line in memory_in_words(scenario):
+                told.setdefault(line, f"{scenario.spec.name}: {line}")
+    for line in told.values():
+        console().print(line)
+    return set(told.values())
 
 
 def schema_command(arguments: argparse.Namespace) -> int:

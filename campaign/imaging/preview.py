@@ -10,12 +10,13 @@ import numpy as np
 
 from boresight.renderers.brdf import brdf_value
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.bodies import detailed_count, load_body
+from boresight.scenarios.bodies import detailed_count, expected_facets, load_body
 from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, prior_covariance
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import without_detail
+from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -26,6 +27,10 @@ _VIEWS, _POINTS = 40, 4000
 _FOUND_PX = 10.0  # diameter of a crater that a detector finds
 _NOISY = 50.0  # median signal to noise: at 37, landmarks were recognised in 1 of 50 images of bennu-pass
 _SATURATED = 0.01
+_TOLD_BYTES = 1e9
+# Resident at most in a process that renders: 0.50 GB for 1.3 million and 1.06 GB for 5.2 million facets in 512 x 512
+# pixels, 4.1 GB for 21 million in 4096 x 4096.
+_PROCESS_BYTES, _FACET_BYTES, _PIXEL_BYTES = 0.31e9, 142.0, 47.0
 _COARSE_PX = 2.0  # edges of facets beyond which they, not the surface, make the image
 
 
@@ -110,6 +115,7 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
     sphere about the body is out of the frame in all views that are drawn.
     """
     spec, camera = scenario.spec, scenario.spec.camera.camera()
+    memory = memory_in_words(scenario)
     mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
     flown = _states_flown(spec, trials)
     ends_m = ranges_m(scenario, mesh)
@@ -120,6 +126,7 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
     lines = [
         _views_in_words(scenario, camera, longest_m(scenario, mesh), ends_m, sight),
         *_states_in_words(spec, flown),
+        *memory,
     ]
     if spec.viewpoint is not None:
         lines.append(_prior_in_words(spec, camera, ends_m[1]))
@@ -127,7 +134,7 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
         near_m = ends_m[1], ends_m[1]
         if sight is not None and not np.isnan(sight.distance_m):
             near_m = sight.distance_m, sight.nearest_m
-        lines.append(_facets_in_words(spec, mesh, np.array(near_m) / camera.fx_px, detailed))
+        lines.append(_facets_in_words(scenario, mesh, np.array(near_m) / camera.fx_px))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     pairs = spec.crater_pairs
@@ -249,20 +256,45 @@ def images_of(spec: ScenarioSpec, trials: int) -> int:
     return revolution if spec.sequence.trajectory is None else spec.sequence.frames
 
 
-def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: FloatArray, detailed: bool) -> str:
-    """Describe the facets against a pixel, (2,) of all views and at the nearest point.
+def memory_in_words(scenario: LoadedScenario) -> list[str]:
+    """Say in a line how many facets the bodies of a scenario will have, and what these take, before they are made.
+
+    Empty if that is below 1 GB. Raise BoresightError if a shape is missing or wrong.
+    """
+    spec = scenario.spec
+    if spec.sequence is not None and spec.sequence.sphere_radius_m is not None:
+        return []
+    bodies = list({body.model_dump_json(): body for body in (*spec.bodies, onboard_spec(spec).body)}.values())
+    counts = [expected_facets(body, scenario.search_dirs) for body in bodies]
+    pixels = spec.camera.width_px * spec.camera.height_px
+    size = _PROCESS_BYTES + _FACET_BYTES * sum(counts) + _PIXEL_BYTES * pixels
+    if size < _TOLD_BYTES:
+        return []
+    told = " and ".join(f"{count:,}" for count in counts)
+    have = "the body has" if len(counts) == 1 else "the bodies, those on board among them, have"
+    return [f"{have} about {told} facets: each process that makes images takes about {size / 1e9:.2g} GB of memory"]
+
+
+def _facets_in_words(scenario: LoadedScenario, mesh: TriangleMesh, m_per_px: FloatArray) -> str:
+    """Describe the facets against a pixel, (2,) of all views and at the nearest point, and those of a site.
 
     Say what to change if they are coarse; the nearest point is named if they are coarse there alone.
     """
+    spec, site = scenario.spec, None
     if spec.craters is not None:
         edge_m, key = spec.craters.edge_m, "lower craters.edge_m"
     else:
         key = "take a finer shape, or raise body.detail.facets"
-        count = len(mesh.faces) if detailed else detailed_count(spec.body, len(mesh.faces))
+        site = None if spec.body.detail is None else spec.body.detail.site
+        # Of the body beside its site and local shapes, whose facets are finer.
+        coarse = load_body(without_detail(spec.body), scenario.search_dirs).mesh
+        count = detailed_count(spec.body, len(coarse.faces))
         area_m2 = float(mesh.areas_m2.sum())
         edge_m = math.sqrt(4.0 / math.sqrt(3.0) * area_m2 / count)  # of equilateral triangles
     edge_px, nearest_px = (edge_m / m_per_px).tolist()
     words = f"facets have edges of {edge_m:.3g} m, {edge_px:.2g} px of the surface in view"
+    if site is not None:
+        words += f", at the site of {site.edge_m:.3g} m at most, {site.edge_m / m_per_px[0]:.2g} px"
     if edge_px <= _COARSE_PX < nearest_px:
         words = f"{words} and {nearest_px:.2g} px at the nearest point of {_VIEWS} views"
     return f"{words}: coarse for this camera, as images show them; {key}" if nearest_px > _COARSE_PX else words

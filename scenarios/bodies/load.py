@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.albedo import ALBEDO_MAP_VERSION, with_albedo_map
 from boresight.scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from boresight.scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
-from boresight.scenarios.bodies.local import LOCAL_VERSION, with_local
+from boresight.scenarios.bodies.local import LOCAL_VERSION, local_facets, with_local
 from boresight.scenarios.bodies.noise import Band, fractal_field
 from boresight.scenarios.bodies.readers import READER_VERSION, RawShape, read_shape
 from boresight.scenarios.bodies.topology import directed_edge_keys, find_edges, is_closed, rounds_for, vertex_normals
@@ -24,7 +25,15 @@ from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
-from boresight.scenarios.spec.body import AlbedoMapSpec, BodySpec, FurtherHeightErrorSpec, HeightErrorSpec, LocalSpec
+from boresight.scenarios.spec.body import (
+    MOST_FACETS,
+    AlbedoMapSpec,
+    BodySpec,
+    DetailSpec,
+    FurtherHeightErrorSpec,
+    HeightErrorSpec,
+    LocalSpec,
+)
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}
@@ -194,10 +203,42 @@ def _intersections(directions: FloatArray, opposite: FloatArray) -> tuple[NDArra
 
 
 def detailed_count(spec: BodySpec, count: int) -> int:
-    """Return the facets of a body from those of its shape file."""
+    """Return the facets of a body from those of its shape file, without those of a site and of local shapes."""
     if spec.even_facets is not None:
         count = _ICOSAHEDRON_FACETS * 4 ** rounds_for(_ICOSAHEDRON_FACETS, spec.even_facets)
     return count if spec.detail is None else count * 4 ** rounds_for(count, spec.detail.facets)
+
+
+def expected_facets(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> int:
+    """Return how many facets a body will have, without making its detail; those of site and local shapes are estimated.
+
+    Raise BoresightError if a shape is not found or not valid.
+    """
+    coarse = spec.model_copy(update=dict.fromkeys(("detail", "height_error", "even_facets", "local", "albedo_map")))
+    count = detailed_count(spec, len(load_body(coarse, search_dirs).mesh.faces))
+    site = 0 if spec.detail is None or spec.detail.site is None else spec.detail.site.facets
+    local = (local_facets(*_local_shape(one, _local_path(one, search_dirs)), one) for one in spec.local or ())
+    return count + site + sum(local)
+
+
+def _check_facets(count: int, spec: DetailSpec) -> None:
+    """Refuse a detail that makes more facets than `MOST_FACETS` of the ``count`` of a shape, before it is made."""
+    made = count * 4 ** rounds_for(count, spec.facets)
+    if made > max(count, MOST_FACETS):
+        raise BoresightError(
+            f"detail.facets: {spec.facets:,} makes {made:,} facets of the {count:,} of the shape, each four of one, and"
+            f" {MOST_FACETS:,} are the most: give {made // 4} or less"
+        )
+    if spec.site is not None and made + spec.site.facets > MOST_FACETS:
+        left = MOST_FACETS - made
+        remedy = "lower detail.facets"
+        if left > 0:
+            edge_m = spec.site.edge_m * math.sqrt(spec.site.facets / left)
+            remedy = f"give {math.ceil(100.0 * edge_m) / 100.0:g} or more"
+        raise BoresightError(
+            f"detail.site.edge_m: {spec.site.edge_m:g} m makes about {spec.site.facets:,} facets beside the {made:,} of"
+            f" the body, and {MOST_FACETS:,} are the most: {remedy}"
+        )
 
 
 def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh:
@@ -254,6 +295,8 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
             # Cached without height error and albedo map, which are added afterwards: several share one detailed body.
             # The coarse shape is checked in either case.
             without = body_digest(spec.model_copy(update={"height_error": None, "albedo_map": None}), search_dirs)
+            if spec.detail is not None:
+                _check_facets(len(mesh.faces), spec.detail)
             mesh, more = _detailed(mesh, spec, search_dirs, without, cache)
             notes = (*notes, *more)
         if spec.height_error is not None:
@@ -317,6 +360,13 @@ def _local_path(spec: LocalSpec, search_dirs: Sequence[Path]) -> Path:
     return find_data_file(spec.shape, search_dirs, "shapes", "body.local.shape")
 
 
+def _local_shape(spec: LocalSpec, path: Path) -> tuple[FloatArray, IndexArray]:
+    """Read the vertices, m, and the faces of a local shape."""
+    shape = read_shape(path, spec.format)
+    vertices_m, faces, _ = _repaired(shape.vertices * METRES[shape.unit or spec.unit], shape.faces)
+    return vertices_m, faces
+
+
 def _map_path(spec: AlbedoMapSpec, search_dirs: Sequence[Path]) -> Path:
     return find_data_file(spec.file, search_dirs, "shapes", "body.albedo_map.file")
 
@@ -350,9 +400,7 @@ def _detailed(
         mesh, detail_notes = (coarse, ()) if spec.detail is None else add_detail(coarse, spec.detail)
         for one in spec.local or ():
             path = _local_path(one, search_dirs)
-            shape = read_shape(path, one.format)
-            vertices, faces, _ = _repaired(shape.vertices * METRES[shape.unit or one.unit], shape.faces)
-            mesh, note = with_local(mesh, vertices, faces, one, path)
+            mesh, note = with_local(mesh, *_local_shape(one, path), one, path)
             detail_notes = (*detail_notes, note)
         np.save(folder / "vertices_m.npy", mesh.vertices_m)
         np.save(folder / "faces.npy", mesh.faces)

@@ -22,7 +22,7 @@ from boresight.scenarios.bodies.topology import (
 )
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.body import LocalSpec
+from boresight.scenarios.spec.body import MOST_FACETS, LocalSpec
 
 LOCAL_VERSION = 1
 """Part of the digest of every body with a local shape: increase it when the same files give another mesh."""
@@ -51,10 +51,11 @@ def with_local(
     """
     terrain = _terrain(mesh, TriangleMesh(vertices_m, faces.astype(np.int32)), spec, where)
     edge_m, farthest_m = spec.edge_m or terrain.edge_m, _FARTHEST * terrain.width_m
-    if (count := 4.0 * (terrain.width_m / edge_m) ** 2) > _MOST_FACETS:
+    count, most = _facets(terrain.width_m, edge_m), min(_MOST_FACETS, MOST_FACETS - len(mesh.faces))
+    if count > most:
         raise BoresightError(
             f"{where}: body.local: edges of {edge_m:.3g} m make about {count:.2g} facets, more than"
-            f" {_MOST_FACETS:.2g}; give a greater edge_m"
+            f" {max(most, 0):.2g}; give a greater edge_m"
         )
     values = np.column_stack([mesh.vertices_m] if mesh.albedo is None else [mesh.vertices_m, mesh.albedo])
     fine, fine_faces = refine_where(values, mesh.faces, edge_m, terrain.is_near(farthest_m))
@@ -90,6 +91,17 @@ def with_local(
         f" {np.median(above_m):.3g} m (median)"
     )
     return TriangleMesh(moved_m, fine_faces.astype(np.int32), None if mesh.albedo is None else fine[:, 3]), note
+
+
+def local_facets(vertices_m: FloatArray, faces: IndexArray, spec: LocalSpec) -> int:
+    """Return about how many facets a local shape, (n, 3) and (m, 3), adds to a body."""
+    mesh = TriangleMesh(vertices_m, faces.astype(np.int32))
+    edge_m = spec.edge_m or float(find_edges(mesh.faces).lengths(mesh.vertices_m).mean())
+    return round(_facets(float(np.sqrt(mesh.areas_m2.sum())), edge_m))
+
+
+def _facets(width_m: float, edge_m: float) -> float:
+    return 4.0 * (width_m / edge_m) ** 2
 
 
 def _folded(points_m: FloatArray, faces: IntArray, moved: IndexArray, up: FloatArray) -> float:

@@ -25,6 +25,15 @@ STAND_INS = {
 """Built-in bodies that ``--embedded`` takes in place of shape files."""
 
 
+MOST_FACETS = 20_000_000
+"""Facets of a body with its detail, site and local shapes, at most."""
+
+SITE_FACETS = 14.0
+"""Facets of a site whose radius is its longest edge; their number grows with the square of the ratio.
+
+Bisection ends between this edge and half of it, so that there may be half as many or twice as many."""
+
+
 class SizesSpec(SpecModel):
     """A range of diameters."""
 
@@ -98,11 +107,20 @@ class SiteSpec(SpecModel):
         if self.radius_m > 1000.0 * self.edge_m:
             raise ValueError("radius_m is above 1000 edge_m, which makes 14 million facets")
 
+    @property
+    def facets(self) -> int:
+        """About how many facets it has."""
+        return round(SITE_FACETS * (self.radius_m / self.edge_m) ** 2)
+
 
 class DetailSpec(SpecModel):
     """Subdivision of a coarse shape with added relief; the same seed gives the same body."""
 
-    facets: int = Field(ge=4, le=20_000_000, description="At least this many facets, and less than four times as many")
+    facets: int = Field(
+        ge=4,
+        le=MOST_FACETS,
+        description="At least this many facets, and less than four times as many; 20 million are made at most",
+    )
     seed: int = Field(0, ge=0, description="Seed of all relief and albedo of this section")
     boulders: BoulderSpec | None = None
     craters: CraterSpec | None = None

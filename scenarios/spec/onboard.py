@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from boresight.scenarios.spec.base import SpecModel, deviation, optional
-from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.body import MOST_FACETS, BodySpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec
 from boresight.scenarios.spec.distribution import Scalar
 from boresight.scenarios.spec.world import PoseErrorSpec
@@ -26,7 +26,7 @@ class DeclaredSpec(SpecModel):
     brdf: BrdfSpec | Annotated[tuple[BrdfSpec, ...], Field(min_length=2)] | None = Field(
         None, description="A reflectance that the surface may have in place of that on board, or several"
     )
-    facets: int | None = Field(None, ge=4, le=20_000_000, description="Facets of a rehearsed body's detail")
+    facets: int | None = Field(None, ge=4, le=MOST_FACETS, description="Facets of a rehearsed body's detail")
     relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
@@ -42,7 +42,7 @@ class OnboardSpec(SpecModel):
     brdf: BrdfSpec | None = Field(None, description="Reflectance that the spacecraft believes in")
     body: BodySpec | None = Field(None, description="Another shape altogether, in the same frame")
     facets: int | None = Field(
-        None, ge=4, le=20_000_000, description="Resolution of the shape: facets of the body's detail stage"
+        None, ge=4, le=MOST_FACETS, description="Resolution of the shape: facets of the body's detail stage"
     )
     relief: RedrawnSpec | None = optional("Small relief that nobody has seen: other boulders, craters and roughness")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
