@@ -227,16 +227,6 @@ orbit:
   sightings: {images: 20, craters: 120}
   knowledge: {position_m: 100, shape_degree: 4}
 """,
-    "arriving": """
-body: {shape: sphere}
-camera: {width_px: 48, height_px: 40, fov_deg: 2}
-orbit:
-  arc: {approach: {range_m: 50000, speed_m_s: 1, miss_m: 1500}, days: 0.5, predicted_days: 0}
-  asteroid: {gm_m3_s2: 5, gravity_degree: 3}
-  radiometry: null
-  knowledge: {position_m: 100, shape_degree: 4}
-  imaging: {epochs: 3}
-""",
     "imaged": """
 body: {shape: sphere}
 craters: {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30, roughness: null}
@@ -250,6 +240,16 @@ orbit:
     detections: drawn
     craters: {count: 3000, min_diameter_m: 20, max_diameter_m: 100}
     errors: {least_radius_px: 0.5}
+""",
+    "arriving": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 2}
+orbit:
+  arc: {approach: {range_m: 50000, speed_m_s: 1, miss_m: 1500}, days: 0.5, predicted_days: 0}
+  asteroid: {gm_m3_s2: 5, gravity_degree: 3}
+  radiometry: null
+  knowledge: {position_m: 100, shape_degree: 4}
+  imaging: {epochs: 3}
 """,
 }
 
