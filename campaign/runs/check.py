@@ -15,7 +15,8 @@ from boresight.campaign.runs.unused import check_used, widest_kind
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.records import CONTROLS, count_of
-from boresight.reports.statistics.requirements import read_requirement
+from boresight.reports.schema.tables import AFTER_REVOLUTIONS
+from boresight.reports.statistics.requirements import Requirement, read_requirement
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
 from boresight.scenarios.data.datasets import datasets
@@ -73,7 +74,10 @@ def _check_requirements(campaign: ResolvedCampaign) -> None:
     where = "requirements" if entry is None else entry.place
     for asked in campaign.spec.requirements:
         try:
-            read_requirement(asked.that, campaign.spec.experiment)
+            requirement = read_requirement(asked.that, campaign.spec.experiment)
+            for scenario in campaign.scenarios:
+                if scenario.spec.name in (asked.scenarios or known["scenarios"]):
+                    _check_revolutions(requirement, scenario)
         except BoresightError as error:
             raise BoresightError(f"{where}: {error}") from error
         if not asked.estimators and set(campaign.labels) <= set(CONTROLS):
@@ -82,6 +86,19 @@ def _check_requirements(campaign: ResolvedCampaign) -> None:
             unknown = [name for name in getattr(asked, key) if name not in there]
             if unknown:
                 raise BoresightError(f"{where}: {key}: there is no {unknown[0]}: choose among {', '.join(there)}")
+
+
+def _check_revolutions(requirement: Requirement, scenario: LoadedScenario) -> None:
+    """Refuse the error after a revolution that the sequences of a scenario do not end."""
+    found, sequence = AFTER_REVOLUTIONS.fullmatch(requirement.measure), scenario.spec.sequence
+    ended = () if sequence is None else sequence.ended_revolutions
+    if found is None or int(found[1]) in ended:
+        return
+    there = [f"error_after_{k}_m" for k in ended] or ["position_error_m"]
+    named = ", ".join(there) if len(there) <= _MOST_SHOWN else f"{there[0]} to {there[-1]}"
+    raise BoresightError(
+        f"{requirement.written!r}: no frame of {scenario.spec.name} ends revolution {found[1]}: choose {named}"
+    )
 
 
 def check_data(campaign: ResolvedCampaign) -> None:

@@ -25,13 +25,15 @@ YES_OR_NO, SECONDS = ("solved", "success"), "seconds"
 _MORE = ("nees", "mean_position_nees", "position_sigma_m", "attitude_sigma_deg")
 """Numbers of rows that are no errors and can be required."""
 
-_NUMBER = r"[+-]?\d*\.?\d+(?:e[+-]?\d+)?"
+_NUMBER = r"[+-]?(?:\d+(?:\.\d+)?|\.\d+)(?:e[+-]?\d+)?"
 _WRITTEN = re.compile(
     rf"\s*(?P<measure>\w+)(?:\s*<\s*(?P<limit>{_NUMBER}))?\s+in\s+(?P<share>{_NUMBER})\s*%"
     rf"\s+at\s+(?P<confidence>{_NUMBER})\s*%\s*",
     re.IGNORECASE,
 )
 _MOST_TRIALS = 10_000_000
+_LEAST_SHARE = 1e-7
+"""Of trials within the limit, and of those beyond: to show a smaller one takes more than `_MOST_TRIALS`."""
 _MOST_LOG = 700.0  # exp of more overflows
 
 
@@ -69,13 +71,17 @@ def parse_requirement(text: str) -> Requirement:
             " at 90 %'"
         )
     share, confidence = float(found["share"]) / 100.0, float(found["confidence"]) / 100.0
-    if not 0.0 < share < 1.0:
+    if not _LEAST_SHARE <= share <= 1.0 - _LEAST_SHARE:
+        least, most = 100.0 * _LEAST_SHARE, 100.0 * (1.0 - _LEAST_SHARE)
         raise BoresightError(
-            f"{text!r}: no number of trials shows {100.0 * share:g} %: give a share between 0 and 100 %"
+            f"{text!r}: {_MOST_TRIALS:,} trials do not show {100.0 * share:g} %: give a share from {least:g} to"
+            f" {most:.8g} %"
         )
     if not 0.5 <= confidence < 1.0:
         raise BoresightError(f"{text!r}: a confidence is from 50 to below 100 %, not {100.0 * confidence:g} %")
     limit = None if found["limit"] is None else float(found["limit"])
+    if limit is not None and not np.isfinite(limit):
+        raise BoresightError(f"{text!r}: the limit is beyond {np.finfo(float).max:.1e}: give a smaller one")
     return Requirement(" ".join(text.split()), found["measure"].lower(), limit, share, confidence)
 
 
@@ -87,12 +93,14 @@ def read_requirement(text: str, experiment: str) -> Requirement:
     asked = parse_requirement(text)
     errors = [column.name for column in columns_of("rows", experiment) if column.error or column.name in _MORE]
     known = (*kind_schema(experiment).metrics, *errors, SECONDS)
+    # Rows have columns of the first revolutions; those of any other follow from the frames.
+    after = AFTER_REVOLUTIONS.fullmatch(asked.measure) and any(map(AFTER_REVOLUTIONS.fullmatch, errors))
     if asked.limit is None and asked.measure not in YES_OR_NO:
         yes_or_no = " and ".join(YES_OR_NO)
         raise BoresightError(f"{text!r}: {asked.measure} needs a limit; without one there are {yes_or_no}")
     if asked.limit is not None and asked.limit <= 0.0:
         raise BoresightError(f"{text!r}: a measure counts by its size, which is never below {asked.limit:g}")
-    if asked.limit is not None and asked.measure not in known and not AFTER_REVOLUTIONS.fullmatch(asked.measure):
+    if asked.limit is not None and asked.measure not in known and not after:
         named = ", ".join(dict.fromkeys(known))
         raise BoresightError(f"{text!r}: {asked.measure} is no measure of {experiment}: choose one of {named}")
     return asked

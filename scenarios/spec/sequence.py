@@ -322,6 +322,14 @@ class SequenceSpec(WithDefaultAlternative):
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
     knowledge: SequenceKnowledgeSpec = SequenceKnowledgeSpec()
 
+    @property
+    def ended_revolutions(self) -> tuple[int, ...]:
+        """Numbers, from 1, of the revolutions that a frame ends; () along given states."""
+        if self.trajectory is not None or self.tracks is not None:
+            return ()
+        ends = ((k, 360.0 * k / self.orbit.step_deg) for k in range(1, int(self.orbit.revolutions + 1e-9) + 1))
+        return tuple(k for k, steps in ends if abs(steps - round(steps)) * self.orbit.step_deg < 1e-6)  # as in scores
+
     @rule
     def _orbit_clears_the_sphere(self) -> None:
         sphere_m = self.sphere_radius_m or 0.0

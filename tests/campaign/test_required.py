@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, run, write_campaign
+from tiny_sequences import write_sequences
 
 from boresight.campaign.runs import until as module
 
@@ -55,6 +56,7 @@ def test_the_report_begins_with_them(tiny_run, tmp_path, capsys):
     [
         ("position_error_m under 3", "is no requirement: write it as"),
         ("velocity < 3 in 95 % at 90 %", "velocity is no measure of single-image"),
+        ("error_after_1_m < 30 in 95 % at 90 %", "error_after_1_m is no measure of single-image: choose one of"),
         ("{that: solved in 95 % at 90 %, estimators: [lmaps]}", "estimators: there is no lmaps: choose among prior, "),
         ("{that: solved in 95 % at 90 %, scenarios: [other]}", "scenarios: there is no other: choose among scene"),
         ("{limit: 3}", "requirements[0]: write a requirement as its text, or as {that: text,"),
@@ -114,3 +116,33 @@ def test_a_requirement_that_nobody_answers_is_refused(cache, tmp_path, refused):
     campaign = f"scenarios: [scene]\nestimators: [prior]\ntrials: 1\nseed: 1\nrequirements: [{MET}]\n"
     said = refused("run", write_campaign(tmp_path, campaign), "--out", tmp_path / "run")
     assert "is asked of no estimator: name some, or add one" in said
+
+
+@pytest.mark.parametrize(
+    ("written", "asked", "why"),
+    [
+        (
+            "step_deg: 6, revolutions: 1",
+            "error_after_99_m < 3",
+            "no frame of orbit ends revolution 99: choose error_after_1_m",
+        ),
+        (
+            "step_deg: 6, revolutions: 2.5",
+            "error_after_3_m < 3",
+            "ends revolution 3: choose error_after_1_m, error_after_2_m",
+        ),
+        (
+            "step_deg: 7, revolutions: 1",
+            "error_after_1_m < 3",
+            "no frame of orbit ends revolution 1: choose position_error_m",
+        ),
+    ],
+)
+def test_an_error_after_a_revolution_is_of_one_that_a_frame_ends(tmp_path, refused, written, asked, why):
+    file = write_sequences(tmp_path, 2)
+    orbit = file.parent / "orbit.yaml"
+    orbit.write_text(orbit.read_text().replace("step_deg: 6, revolutions: 0.1", written))
+    file.write_text(f"{file.read_text()}requirements:\n  - {asked} in 95 % at 90 %\n")
+    for command in (("validate", file), ("run", file, "--out", tmp_path / "run")):
+        assert why in refused(*command)
+    assert not (tmp_path / "run").exists()

@@ -40,6 +40,7 @@ from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
 from boresight.renderers.spice import INSTRUMENTS
 from boresight.reports.published import parse as parse_published
+from boresight.reports.statistics.requirements import judge, read_requirement
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry
 from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
@@ -107,7 +108,9 @@ KEYS = (
     b"extends: .\n", b"name: ../x\n", b"description: null\n", b"images: {folder: /etc}\n", b"kind: hapke", b"kind: x",
     b"uniform", b"normal", b"camera", b"body", b"viewpoint", b"orbit", b"sequence", b"onboard", b"sensors", b"craters",
     b"detail", b"values", b"levels", b"design: two-level", b"extends: quickstart\n", b"body: null\n",
-    b"extends: apophis-sphere-sequence\n", b"distortion: {k1: 1e300}", b"set: {a.b.c: 1}\n", b'extends: "a\\0b"\n',
+    b"requirements: [solved in 1e-300 % at 90 %]\n", b"position_error_m < 1e400 in 95 % at 90 %",
+    b"error_after_99_m < 3 in 95 % at 90 %", b"extends: apophis-sphere-sequence\n",
+    b"distortion: {k1: 1e300}", b"set: {a.b.c: 1}\n", b'extends: "a\\0b"\n',
 )  # fmt: skip
 OBJ = (
     b"f 1/2/3 2//1 -1", b"\\\n", b"mtllib ../../../../etc/passwd", b"usemtl x", b"v 1 2 3 4 5 6", b"f 1 2 3 4 5 6 7",
@@ -206,7 +209,13 @@ def scenario(path: Path) -> object:
 
 def campaign(path: Path) -> object:
     spec = load_campaign(str(path), CATALOG).spec
-    return canonical_json(spec), digest(spec), None if spec.grid is None else grid_cells(spec.grid)
+    grid = None if spec.grid is None else grid_cells(spec.grid)
+    return canonical_json(spec), digest(spec), grid, [judged(one.that, spec.experiment) for one in spec.requirements]
+
+
+def judged(written: str, experiment: str) -> object:
+    asked = read_requirement(written, experiment)
+    return asked.in_words(), judge(asked, np.array([0.5, 2.0, np.inf])), judge(asked, np.zeros(40), looked=True)
 
 
 def data_sets(path: Path) -> object:

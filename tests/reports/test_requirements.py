@@ -148,8 +148,11 @@ def test_wrong_passes_of_ten_thousand_campaigns(share, most, capsys):
         ("position_error_m < 30 in 95 %", "is no requirement"),
         ("position_error_m < 30 in 95 % at 90 %; 1", "is no requirement"),
         ("position_error_m < nan in 95 % at 90 %", "is no requirement"),
-        ("position_error_m < 30 in 100 % at 90 %", "no number of trials shows 100 %"),
-        ("position_error_m < 30 in 0 % at 90 %", "no number of trials shows 0 %"),
+        ("position_error_m < 30 in 100 % at 90 %", "trials do not show 100 %: give a share from 1e-05 to 99.99999 %"),
+        ("position_error_m < 30 in 0 % at 90 %", "10,000,000 trials do not show 0 %"),
+        ("position_error_m < 30 in 1e-300 % at 90 %", "trials do not show 1e-300 %: give a share from 1e-05 to"),
+        ("position_error_m < 1e400 in 95 % at 90 %", r"the limit is beyond 1.8e\+308"),
+        ("error_after_1_m < 30 in 95 % at 90 %", "error_after_1_m is no measure of single-image: choose one of posit"),
         ("position_error_m < 30 in 95 % at 40 %", "a confidence is from 50 to below 100 %, not 40 %"),
         ("position_error_m < 30 in 95 % at 100 %", "not 100 %"),
         (
