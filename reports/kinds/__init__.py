@@ -13,7 +13,8 @@ from typing import cast
 import pandas as pd
 
 from boresight.reports.figures.named import NamedFigure
-from boresight.reports.kinds.requirements import requirement_figures, requirement_grid, swing_grid
+from boresight.reports.kinds.requirements import requirement_grid
+from boresight.reports.kinds.tornado import swing_grid, tornado_figures
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import limited, short_line
@@ -35,7 +36,7 @@ def report_grids(content: Content) -> list[Grid]:
 
 def report_figures(content: Content) -> Iterable[NamedFigure]:
     """List the figures of a report, in order."""
-    yield from requirement_figures(content.run)
+    yield from tornado_figures(content.run)
     yield from report_kind(content.run).figures(content)
 
 

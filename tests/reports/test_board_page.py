@@ -11,7 +11,8 @@ from stored_runs import ESTIMATOR, SCENARIO
 
 from boresight.reports.figures.named import run_label
 from boresight.reports.kinds.ranges import range_figures
-from boresight.reports.kinds.requirements import judged, requirement_grid, swings
+from boresight.reports.kinds.requirements import judged, requirement_grid
+from boresight.reports.kinds.tornado import swings
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import headline
 from boresight.reports.run.data import read_run

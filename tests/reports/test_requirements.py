@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
 from scipy.stats import beta, binom, binomtest
+from stored_runs import ESTIMATOR
 
-from boresight.reports.kinds.requirements import judged, requirement_grid, swing_grid, swings
+from boresight.reports.kinds.requirements import judged, requirement_grid
+from boresight.reports.kinds.tornado import conditions_of, swing_grid, swings, tornados
 from boresight.reports.run.data import read_run
 from boresight.reports.statistics.intervals import wilson
 from boresight.reports.statistics.requirements import (
@@ -21,6 +25,7 @@ from boresight.reports.statistics.requirements import (
     upper_limit,
 )
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry.pose import look_at
 
 
 def with_misses(n: int, missed: int) -> np.ndarray:
@@ -207,6 +212,109 @@ def test_the_condition_that_moves_an_error_comes_first(full_run):
     assert first.low[1][0] <= first.low[0] <= first.low[1][1] < first.high[1][0]
     assert all(one.low[1][1] > one.high[1][0] for one in others), "the others do not matter"
     assert len(swing_grid(run).rows) == len(others) + 1
+
+
+def varied(builder, cells, trials, error_m, **manifest):
+    """Store trials of a prior and an estimator in each of some scenarios; ``error_m(cell, trial)``, None for none."""
+    for cell in cells:
+        for trial in range(trials):
+            size = error_m(cell, trial)
+            final = None if size is None else ((size, 0.0, 0.0), 0.1)
+            builder.trial(trial, ((90.0, 0.0, 0.0), 0.1), final, reason="" if final else "far")
+            builder.tables["rows"][-1] |= {"scenario": cell, "time_s": 60.0 * trial, "range_m": (1e3, 2e3)[trial % 2]}
+    return read_run(builder.write(**{"report": None, "scenarios": {cell: {} for cell in cells}} | manifest))
+
+
+REQUIRED = {"requirements": [{"that": "position_error_m < 30 in 95 % at 90 %"}]}
+
+
+def test_the_quantile_is_one_that_both_thirds_have_an_interval_of(builder):
+    """Thirteen values bound a quantile of 75 % (0.75^13 < 2.5 %), and none above."""
+    run = varied(builder, ["s"], 40, lambda _, trial: 1.0 + trial % 2 + 1e-3 * trial, **REQUIRED)
+    (found,) = tornados(run)
+    assert found.quantile == 0.75
+    assert all(one.bounded for one in found.found[ESTIMATOR])
+    assert not any("[-, -]" in cell for row in swing_grid(run).rows for cell in row)
+    more = varied(builder, ["s"], 220, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
+    assert [one.quantile for one in tornados(more)] == [0.95]
+
+
+def test_a_condition_of_a_few_values_is_compared_between_them(builder):
+    run = varied(builder, ["s"], 40, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
+    first, *others = next(tornados(run)).found[ESTIMATOR]
+    assert (first.condition, first.least, first.most) == ("range_m", "1000", "2000")
+    assert (first.low[0], first.high[0]) == (1.0, 2.0)
+    assert [one.condition for one in others] == ["time_s"]
+
+
+def test_trials_without_an_estimate_bound_an_interval_as_unsolved(builder):
+    run = varied(builder, ["s"], 60, lambda _, trial: None if trial > 55 else 2.0 + 0.01 * trial, **REQUIRED)
+    row = next(dict(zip(swing_grid(run).columns, row, strict=True)) for row in swing_grid(run).rows)
+    assert (row["condition"], row["quantile"]) == ("time_s", "75 %")
+    assert row["then"].endswith(", unsolved]")
+    assert len(row["then"]) < 40
+
+
+def test_limits_on_one_measure_have_one_tornado(builder):
+    asked = [{"that": f"position_error_m < {limit} in 95 % at 90 %"} for limit in (20, 30)]
+    (found,) = tornados(varied(builder, ["s"], 40, lambda _, trial: 1.0 + trial % 2, requirements=asked))
+    assert [one.limit for one in found.requirements] == [20.0, 30.0]
+
+
+def test_fewer_trials_than_a_tornado_takes_are_told(builder):
+    run = varied(builder, ["s"], 29, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
+    assert swing_grid(run) is None
+    assert "What moves a requirement is shown from 30 trials of a scenario on." in requirement_grid(run).note
+
+
+def grid_of(design, cells):
+    axes = [{"name": axis, "label": f"{axis} axis", "levels": ("low", "mid")} for axis in ("light", "law")]
+    levels = [dict(zip(("light", "law"), cell.split("-"), strict=True)) for cell in cells]
+    scenarios = [{"name": cell, "base": "s", "levels": own} for cell, own in zip(cells, levels, strict=True)]
+    return {"grid": {"design": design, "axes": axes, "scenarios": scenarios}}
+
+
+@pytest.mark.parametrize("design", ["full", "one-at-a-time"])
+def test_the_levels_of_a_grid_move_a_requirement(builder, design):
+    """The law adds 10 m at its middle level, the light takes 2 m away."""
+    cells = ["low-low", "mid-low", "low-mid", *(["mid-mid"] if design == "full" else [])]
+
+    def error_m(cell, trial):
+        light, law = cell.split("-")
+        return 20.0 + 10.0 * (law == "mid") - 2.0 * (light == "mid") + 0.1 * (trial % 12)
+
+    run = varied(builder, cells, 12, error_m, **REQUIRED, **grid_of(design, cells))
+    (found,) = tornados(run)
+    law, light = found.found[ESTIMATOR]
+    assert (found.scenario, law.condition, light.condition) == ("s", "law axis", "light axis")
+    assert (law.least, law.most, light.least, light.most) == ("low", "mid", "mid", "low")
+    if design == "one-at-a-time":
+        assert law.high[0] - law.low[0] == pytest.approx(10.0)
+        assert light.high[0] - light.low[0] == pytest.approx(2.0)
+    assert law.bounded
+
+
+def test_conditions_follow_from_the_true_pose(full_run):
+    run, rng = read_run(full_run()), np.random.default_rng(3)
+    expected, rows = [], []
+    for _ in range(20):
+        longitude, roll = rng.uniform(-3.1, 3.1, 2)
+        z = rng.uniform(-0.9, 0.9)
+        across = np.sqrt(1.0 - z * z)
+        pose = look_at(2e3 * np.array([across * np.cos(longitude), across * np.sin(longitude), z]), roll)
+        x, y, zq, w = Rotation.from_matrix(pose.rotation).as_quat()
+        tx, ty, tz = pose.translation_m
+        rows.append(dict(zip(TRUE, (w, x, y, zq, tx, ty, tz), strict=True)))
+        expected.append(np.degrees([longitude, roll, 0.0]))
+    found = conditions_of(run, run.rows.iloc[:20].assign(**pd.DataFrame(rows, index=run.rows.index[:20])))
+    names = ("longitude_deg", "roll_deg", "off_pointing_deg")
+    np.testing.assert_allclose(np.column_stack([found[name] for name in names]), expected, atol=1e-6)
+    turned = Rotation.from_rotvec([0.0, np.radians(3.0), 0.0]).apply([0.0, 0.0, 2e3])
+    one = run.rows.iloc[:1].assign(**dict(zip(TRUE, (1.0, 0.0, 0.0, 0.0, *turned), strict=True)))
+    assert conditions_of(run, one)["off_pointing_deg"] == pytest.approx(3.0)
+
+
+TRUE = tuple(f"true_{of}" for of in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"))
 
 
 def test_trials_that_share_an_image_pass_by_the_worst_and_fail_by_the_best():
