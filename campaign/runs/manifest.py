@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from boresight.campaign.imaging.credits import credit_lines
 from boresight.campaign.imaging.real_images import left_out_notes, open_images
 from boresight.campaign.machine import describe, package_versions
 from boresight.campaign.products import BuiltProduct, MissingProduct
@@ -83,9 +84,7 @@ def make_manifest(
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
-        "credits": sorted(
-            {s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.real and s.spec.images.credit}
-        ),
+        "credits": sorted({line for scenario in campaign.scenarios for line in credit_lines(scenario.spec)}),
         "grid": _grid(campaign),
         "created": earlier.get("created") or now(),
         KEY: next_start(request.out),

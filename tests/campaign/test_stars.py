@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import check
 from boresight.campaign.products import BuiltAssets
+from boresight.campaign.runs.manifest import RunRequest, make_manifest
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.stars.detection import Detections
@@ -23,7 +25,7 @@ from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.observation import CameraSigma
-from boresight.scenarios.stars import StarCatalog
+from boresight.scenarios.stars import PACKAGE, StarCatalog, hipparcos_credit
 
 STARS = """
 detector: {exposure_s: 1, white_e_per_s: 5.0e+8}
@@ -107,6 +109,14 @@ def test_a_scenario_without_stars_is_refused_before_the_run(folder):
     (folder / "c.yaml").write_text("name: c\nscenarios: [plain.yaml]\nestimators: [stars]\ntrials: 2\nseed: 1\n")
     with pytest.raises(BoresightError, match=r"plain.yaml: stars: missing, but the estimator stars needs them"):
         resolve(str(folder / "c.yaml"))
+
+
+@pytest.mark.skipif(find_spec(PACKAGE) is None, reason="needs the extra stars")
+def test_a_run_names_the_package_of_its_stars(folder):
+    (folder / "h.yaml").write_text("name: h\nscenarios: [scene.yaml]\nestimators: [prior]\ntrials: 1\nseed: 1\n")
+    for catalog, credits_ in (("hipparcos", [hipparcos_credit()]), ("artificial", [])):
+        campaign = resolve(str(folder / "h.yaml"), [f"stars.catalog={catalog}"])
+        assert make_manifest(campaign, RunRequest(folder / "run", 1, 1), (), None)["credits"] == credits_
 
 
 def test_a_declared_error_of_the_principal_point_is_one_of_the_attitude(folder):

