@@ -48,11 +48,12 @@ _GROUPS = (
     ("missions", ("osiris-rex-*", "dawn-*", "dart-*", "hayabusa2-*", "near-*")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
+    ("requirements", ("required-*",)),
     ("compare", ("trade-*", "compare-*", "partial-*", "approach-*")),
 )
 """Headings of ``list`` with the names below them, in their order; a campaign belongs to the first that fits."""
 
-_SHOWN = ("start here", "missions", "the papers", "compare", "sensitivity", "real data")
+_SHOWN = ("start here", "missions", "requirements", "the papers", "compare", "sensitivity", "real data")
 _FURTHER = "further campaigns"
 _GAP = "  "
 

@@ -57,7 +57,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_list_has_a_line_of_each_campaign_under_its_heading(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
     lines = said(capsys, "list").splitlines()
-    headings = ["start here", "missions", "the papers", "compare", "sensitivity", "real data"]
+    headings = ["start here", "missions", "requirements", "the papers", "compare", "sensitivity", "real data"]
     assert [line for line in lines if line in headings] == headings
     start = {name: lines.index(name) for name in headings}
     under = {
@@ -67,6 +67,8 @@ def test_list_has_a_line_of_each_campaign_under_its_heading(capsys, monkeypatch,
         "dart-didymos": ("missions", "50", "-"),
         "hayabusa2-descent": ("missions", "50", "-"),
         "near-eros": ("missions", "50", "data"),
+        "required-itokawa": ("requirements", "100", "data"),
+        "required-apophis": ("requirements", "80 x 2", "-"),
         "rowell2015-simulated": ("the papers", "6000", "data"),
         "delpech2015-images-textures": ("the papers", "6 x 10", "-"),
         "trade-slam": ("compare", "100 x 2", "-"),
