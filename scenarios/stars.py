@@ -86,8 +86,7 @@ def hipparcos_credit() -> str:
         told = metadata(PACKAGE)
     except PackageNotFoundError:
         return STARS_OF_HIPPARCOS
-    licences = (told.get(key) for key in ("License-Expression", "License"))
-    licence = next((one for one in licences if one), "not stated")
+    licence = next((told[key] for key in ("License-Expression", "License") if key in told), "not stated")
     return f"{STARS_OF_HIPPARCOS}, from the package {told['Name']} {told['Version']}, licence: {licence}"
 
 
