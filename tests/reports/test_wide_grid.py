@@ -6,46 +6,13 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from stored_runs import RunBuilder, pose_error
+from stored_grids import METHODS, PHASES, RANGES, TRIALS, size_m, store_thousand, store_wide
 
 from boresight.reports.kinds import brief_grids, pooled, report_figures, report_grids
 from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
 from boresight.reports.pages.build import html_page
 from boresight.reports.pages.content import content_of, read_content
 from boresight.reports.run.data import GridAxis
-
-RANGES, PHASES = tuple(f"{k} km" for k in range(5)), tuple(f"{k} deg" for k in range(6))
-METHODS = tuple(f"method-{k}" for k in range(12))
-TRIALS = 8
-
-
-def size_m(near: int, dark: int, method: int, trial: int) -> float:
-    """Error of a trial: no two cells have the same median."""
-    return 100.0 + 30.0 * near + 6.0 * dark + 0.25 * method + trial
-
-
-def store_wide(folder, ranges=RANGES, phases=PHASES, methods=METHODS, trials=TRIALS):
-    """Store a grid of ranges and phases; the last method fails in the last cell."""
-    builder, scenarios = RunBuilder(folder), []
-    prior = {f"prior_{key}": value for key, value in pose_error(np.array([500.0, 0.0, 0.0]), 2.0).items()}
-    for i, near in enumerate(ranges):
-        for j, dark in enumerate(phases):
-            name = f"rock-{i}-{j}"
-            scenarios.append({"name": name, "base": "rock", "levels": {"range": near, "phase": dark}})
-            for k, method in enumerate(methods):
-                failed = (i, j, k) == (len(ranges) - 1, len(phases) - 1, len(methods) - 1)
-                for trial in range(trials):
-                    errors = pose_error(np.array([size_m(i, j, k, trial), 0.0, 0.0]), 1.0)
-                    errors = dict.fromkeys(errors, np.nan) if failed else errors
-                    key = {"trial": trial, "scenario": name, "estimator": method, "reason": "", "image": ""}
-                    builder.add("rows", **key, status="failed" if failed else "ok", n_landmarks=9, **prior, **errors)
-    axes = [
-        {"name": name, "label": name, "levels": list(levels), "values": None}
-        for name, levels in (("range", ranges), ("phase", phases))
-    ]
-    grid = {"design": "full", "axes": axes, "scenarios": scenarios}
-    specs = {one["name"]: {} for one in scenarios}
-    return builder.write(grid=grid, scenarios=specs, estimators=list(methods), report=None, trials=trials)
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +90,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
 
 @pytest.mark.long
 def test_the_report_of_a_thousand_scenarios_and_fifty_methods_fits_into_2_gib(tmp_path):
-    folder = store_wide(
-        tmp_path / "run", [f"{k} km" for k in range(40)], [f"{k} deg" for k in range(25)],
-        [f"method-{k}" for k in range(50)], trials=4,
-    )  # fmt: skip
+    folder = store_thousand(tmp_path / "run")
     ran = subprocess.run([sys.executable, "-c", _REPORT, folder], stdout=subprocess.PIPE, text=True, check=True)
     assert float(ran.stdout) < 2.0, "peak of the resident memory, GiB"
     assert (folder / "report" / "report.html").stat().st_size < 5e6
