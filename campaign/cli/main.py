@@ -26,9 +26,10 @@ WORST = 5
 """How many of the worst trials are drawn by default."""
 
 PEERS = (
-    "all", "quick", "plain", "kernels", "images", "rays", "adjustment", "smoother", "recognition", "scaling",
+    "all", "quick", "plain", "kernels", "images", "rays", "adjustment", "smoother", "methods", "recognition", "scaling",
+    "size",
 )  # fmt: skip
-"""Works that are timed beside those of other software, by tests/benchmarks, and groups of them."""
+"""Works that are timed beside those of other software or a yardstick, by tests/benchmarks, and groups of them."""
 
 _TRIALS, _SAMPLES = 20, 16
 """Defaults of ``sensitivity``: trials of each sample, and size of the design."""

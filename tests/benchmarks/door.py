@@ -15,9 +15,11 @@ from rich.table import Table
 
 from benchmarks import ceres
 from benchmarks.images import image_ratios, plain_ratios, scaling_ratios
+from benchmarks.methods import method_ratios
 from benchmarks.ratio import HISTORY, Absent, Kept, Ratio, SpeedTable, checked, read_history, record
 from benchmarks.rays import ray_ratios
 from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
+from benchmarks.size import size_ratios
 from benchmarks.timing import Settings
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.machine import describe, package_versions, processor
@@ -64,8 +66,10 @@ WORKS: Mapping[str, Callable[[Settings], Iterator[Ratio | Absent]]] = MappingPro
         "rays": ray_ratios,
         "adjustment": adjustment_ratios,
         "smoother": smoother_ratios,
+        "methods": method_ratios,
         "recognition": recognition_ratios,
         "scaling": scaling_ratios,
+        "size": size_ratios,
     }
 )
 GROUPS: Mapping[str, Sequence[str]] = MappingProxyType({"all": tuple(WORKS), "quick": ("plain", "kernels")})

@@ -20,7 +20,10 @@ _CHANGE = 0.10
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A peer's time over ours for the same work.
+    """A peer's time over ours for the same work; of what no peer does, the yardstick's time over ours.
+
+    The yardstick is a fixed piece of other work: its ratio compares one state of boresight with another, and says
+    nothing of other programs.
 
     Parameters
     ----------
@@ -29,11 +32,11 @@ class Ratio:
     clock
         ``cpu``: processor time of all threads, which another guest of the machine hardly changes; ``wall``: as it says.
     ours_s, peer_s
-        Seconds for the same amount of work.
+        Seconds for the same amount of work, or for one yardstick.
     aim
         The least ratio that is aimed at, where there is one.
     agreement
-        By what it is known that both did the same work.
+        By what it is known that both did the same work; beside the yardstick, what ours came to.
     same_run
         Whether both were timed here; a published time of another machine is shown, never checked.
     """

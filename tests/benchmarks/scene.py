@@ -44,9 +44,9 @@ class SpeedScene:
         return MitsubaRenderer(self.mesh, LambertSpec(kind="lambert", albedo=ALBEDO), samples, variant=variant)
 
 
-def speed_scene(facets: int, views: int) -> SpeedScene:
-    """Build the embedded contact binary with so many facets of boulders, craters and rough ground, and draw views."""
-    spec = BodySpec.model_validate(
+def speed_body(facets: int) -> BodySpec:
+    """Return the embedded contact binary with so many facets of boulders, craters and rough ground."""
+    return BodySpec.model_validate(
         {
             "shape": "contact-binary",
             "detail": {
@@ -58,8 +58,12 @@ def speed_scene(facets: int, views: int) -> SpeedScene:
             },
         }
     )
+
+
+def speed_scene(facets: int, views: int) -> SpeedScene:
+    """Build the body of the comparisons with so many facets, and draw views of it."""
     rng = np.random.default_rng(_SEED)
-    return SpeedScene(load_body(spec, ()).mesh, tuple(_view(rng) for _ in range(views)))
+    return SpeedScene(load_body(speed_body(facets), ()).mesh, tuple(_view(rng) for _ in range(views)))
 
 
 def agreement(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> float:

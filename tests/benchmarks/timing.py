@@ -7,6 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from boresight.campaign.runs.benchmark import yardstick_s
+
+YARDSTICK = "yardstick: Fourier transform of 1024 x 1024"
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -50,6 +54,10 @@ def timed(work: Callable[[], object]) -> Timed:
         return Seconds(time.process_time() - cpu, time.perf_counter() - wall)
 
     return run
+
+
+yardstick = timed(yardstick_s)
+"""Times a fixed piece of work, so that a time beside it says little of the machine."""
 
 
 def in_turn(rounds: int, *works: Timed) -> tuple[Seconds, ...]:
