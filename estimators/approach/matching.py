@@ -84,8 +84,8 @@ class LambertCorrelation(SilhouetteEstimator):
     It fails when
     -------------
     The image shows no body, the frame cuts it, or the ellipsoid is out of view or in the dark. An irregular body pulls
-    the ellipsoid towards its lit part: five bodies of 300 px by 4 px (RMS of a coordinate) at phase angles below 30
-    deg, and by 13 px from 110 to 140 deg (20 images each). There the covariance is too small: mean NEES 14.
+    the ellipsoid towards its lit part: two bodies of 300 px by 6 px (median) at phase angles below 30 deg, and by 12
+    px from 110 to 140 deg (40 images each). There the covariance is too small: mean NEES/6 1.6.
 
     Cost
     ----
