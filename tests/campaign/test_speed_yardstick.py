@@ -56,6 +56,7 @@ def test_memory_is_that_of_the_work_and_not_of_who_asks():
     assert 1e-3 < fixed_s < 0.1
 
 
+@pytest.mark.long
 def test_large_works_are_timed_with_their_peak_of_memory(cache, monkeypatch):
     monkeypatch.setattr(size, "store_thousand", partial(store_wide, methods=("a", "b"), trials=2))
     found = list(size_ratios(Settings(facets=90_000)))
