@@ -53,7 +53,7 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
         # The method takes longer than the image: with the chunks of the image store, few trials would keep few workers.
         share = math.ceil(options.trials / jobs)
         found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=share)
-    laws = len(_laws(_declared(scenario.spec)))
+    laws = len(_laws(scenario.spec))
     # The surface has one law in all images: the covariance must hold for each.
     of_law = [
         [one for trial, one in enumerate(found) if one is not None and _number(options, trial) % laws == law]
@@ -75,16 +75,16 @@ def _declared(spec: ScenarioSpec) -> DeclaredSpec:
     return spec.onboard.declared or DeclaredSpec()
 
 
-def _laws(errors: DeclaredSpec) -> Sequence[BrdfSpec | None]:
-    return errors.brdf if isinstance(errors.brdf, tuple) else (errors.brdf,)
+def _laws(spec: ScenarioSpec) -> Sequence[BrdfSpec]:
+    return _declared(spec).brdf or (spec.brdf,)
 
 
 def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
     """Refuse declared errors that the shape on board cannot have, and more reflectances than rehearsed ``bodies``."""
     errors, detail = _declared(spec), spec.body.detail
-    if len(_laws(errors)) > bodies:
+    if len(_laws(spec)) > bodies:
         raise NoProductError(
-            f"onboard.declared.brdf: {len(_laws(errors))} reflectances, and each rehearsed body has one: give the"
+            f"onboard.declared.brdf: {len(_laws(spec))} reflectances, and each rehearsed body has one: give the"
             f" estimator at least as many tuning.bodies, not {bodies}"
         )
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
@@ -161,8 +161,8 @@ def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: in
     if heights is not None:
         known["height_error"] = heights
     onboard = OnboardSpec(body=body.model_copy(update=known), brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
-    law = _laws(errors)[number % len(_laws(errors))]
-    changes: dict[str, object] = {"body": body, "brdf": law or spec.brdf, "onboard": onboard}
+    law = _laws(spec)[number % len(_laws(spec))]
+    changes: dict[str, object] = {"body": body, "brdf": law, "onboard": onboard}
     if spec.detector is not None and spec.detector.pixels is not None:
         pixels = spec.detector.pixels.model_copy(update={"seed": (spec.detector.pixels.seed + seed) % 2**32})
         changes["detector"] = spec.detector.model_copy(update={"pixels": pixels})

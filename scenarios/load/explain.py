@@ -72,13 +72,17 @@ def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel
     parent: Models = models
     field: FieldInfo | None = None
     for step in loc:
-        if len(models) > 1:
+        if isinstance(step, int) and not isinstance(entry.value, tuple):
+            continue  # one value where a list of them may be
+        if len(models) > 1 and not isinstance(step, int):
             tags = [(one, one.model_fields.get("kind")) for one in models]
             admitted = [one for one, kind in tags if step in (get_args(kind.annotation) if kind else one.model_fields)]
             models = models[:1] if step == _TAG else tuple(admitted[:1])
             continue
-        if isinstance(step, str) and not models and not isinstance(entry.value, Mapping):
-            continue  # the tag of a plain value: a number or a pair
+        if isinstance(step, str) and not models:
+            value = entry.value
+            if not isinstance(value, Mapping) or ("kind" in value and step not in value):
+                continue  # the tag of a plain value, a number or a pair, or of a section in a list
         keys.append(f"[{step}]" if isinstance(step, int) else f".{step}")
         # The entry stays where the file does not contain the child.
         if isinstance(entry.value, Mapping):
@@ -101,6 +105,8 @@ def _what(detail: ErrorDetails, spot: _ErrorLocation) -> str:
         return f"this key is missing ({described})" if described else "this key is missing"
     if kind == "extra_forbidden":
         known = [field.alias or key for model in spot.parent for key, field in model.model_fields.items()]
+        if not known:  # in a section of a list
+            return "unknown key"
         near = difflib.get_close_matches(spot.key.rsplit(".", 1)[-1], known, n=1)
         return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; known here are {', '.join(known)}"
     if kind == "value_error":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from boresight.scenarios.spec.base import SpecModel, deviation, optional
 from boresight.scenarios.spec.body import MOST_FACETS, BodySpec, HeightErrorSpec, RedrawnSpec
@@ -20,11 +20,27 @@ class CameraSigmaSpec(SpecModel):
     principal_point_px: float = deviation(0.0, "each coordinate of the principal point", ge=0, le=1000)
 
 
+def _some(laws: tuple[BrdfSpec, ...]) -> tuple[BrdfSpec, ...]:
+    if not laws:
+        raise ValueError("has no reflectance: leave it out, or give one")
+    return laws
+
+
+_Reflectances = Annotated[
+    tuple[BrdfSpec, ...],
+    AfterValidator(_some),
+    BeforeValidator(
+        lambda value: tuple(value) if isinstance(value, list | tuple) else (value,),
+        json_schema_input_type=BrdfSpec | tuple[BrdfSpec, ...],
+    ),
+]
+
+
 class DeclaredSpec(SpecModel):
     """Errors that a mission declares its onboard model to have; what is left out is taken as exact."""
 
-    brdf: BrdfSpec | Annotated[tuple[BrdfSpec, ...], Field(min_length=2)] | None = Field(
-        None, description="A reflectance that the surface may have in place of that on board, or several"
+    brdf: _Reflectances | None = Field(
+        None, description="A reflectance that the surface may have in place of that on board, or a list of them"
     )
     facets: int | None = Field(None, ge=4, le=MOST_FACETS, description="Facets of a rehearsed body's detail")
     relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")

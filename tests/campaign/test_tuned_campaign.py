@@ -17,6 +17,7 @@ from boresight.estimators.contract import NoProductError
 from boresight.estimators.tuned import PRODUCT, Rehearsals
 from boresight.reports.run.data import read_run
 from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.onboard import DeclaredSpec
 
@@ -121,6 +122,25 @@ def test_rehearsed_bodies_have_the_declared_reflectances_in_turn(tmp_path):
     true = load_scenario(str(tmp_path / "scene.yaml"), [f"onboard.declared={json.dumps({'brdf': laws})}"])
     played = [rehearsed_scenario(believed(true), OPTIONS, number).spec.brdf.kind for number in range(4)]
     assert played == ["oren-nayar", "mcewen", "oren-nayar", "mcewen"]
+
+
+@pytest.mark.parametrize(
+    ("laws", "refused"),
+    [
+        ("[]", "brdf: has no reflectance: leave it out, or give one"),
+        ("{kind: x}", "brdf.kind: 'x' is not one of 'lambert'"),
+        ("[{kind: mcewen}, {kind: x}]", "brdf[1].kind: 'x' is not one of 'lambert'"),
+        ("[{kind: mcewen, albedo: 7}]", "brdf[0].albedo: 7 is not at most 1"),
+        ("{kind: mcewen, albedo: 7}", "brdf.albedo: 7 is not at most 1"),
+        ("[{kind: mcewen, alb: 0.7}]", "brdf[0].alb: unknown key"),
+    ],
+)
+def test_a_wrong_reflectance_is_one_line(tmp_path, laws, refused):
+    write_campaign(tmp_path)
+    with pytest.raises(BoresightError) as caught:
+        load_scenario(str(tmp_path / "scene.yaml"), [f"onboard.declared={{brdf: {laws}}}"])
+    assert f"onboard.declared.{refused}" in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
