@@ -51,16 +51,15 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
         for number in range(options.bodies):
             _method(rehearsed_scenario(scenario, options, number), options, Path(place) / str(number), jobs, variant)
         # The method takes longer than the image: with the chunks of the image store, few trials would keep few workers.
-        share = math.ceil(options.trials / jobs)
-        found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=share)
-    laws = len(_laws(scenario.spec))
+        most = math.ceil(options.trials / jobs)
+        found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=most)
     # The surface has one law in all images: the covariance must hold for each.
-    of_law = [
-        [one for trial, one in enumerate(found) if one is not None and _number(options, trial) % laws == law]
-        for law in range(laws)
-    ]
-    check_solved(laws * min(map(len, of_law)), options.trials, options.base)
-    tuning = max((fit_tuning(own, options.trials // laws) for own in of_law), key=lambda one: one.factor)
+    laws = len(_laws(scenario.spec))
+    shares = [[t for t in range(options.trials) if _number(options, t) % laws == law] for law in range(laws)]
+    solved = [[one for one in (found[t] for t in share) if one is not None] for share in shares]
+    check_solved(laws * min(map(len, solved)), options.trials, options.base)
+    tunings = [fit_tuning(own, len(share)) for own, share in zip(solved, shares, strict=True)]
+    tuning = max(tunings, key=lambda one: one.factor)
     tuning.save(folder)
     solved_of = f"{tuning.solved} of {tuning.trials}"
     return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": solved_of, "wrong": tuning.wrong}
