@@ -15,8 +15,8 @@ from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, ge
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.load.lengths import without_detail
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import without_detail
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -115,8 +115,10 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
     sphere about the body is out of the frame in all views that are drawn.
     """
     spec, camera = scenario.spec, scenario.spec.camera.camera()
+    # Held until the end, so that its file is read once.
+    coarse = load_body(without_detail(spec.body), scenario.search_dirs)
     memory = memory_in_words(scenario)
-    mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
+    mesh = load_body(spec.body, scenario.search_dirs).mesh if detailed else coarse.mesh
     flown = _states_flown(spec, trials)
     ends_m = ranges_m(scenario, mesh)
     if spec.viewpoint is not None and spec.viewpoint.states is not None:
@@ -134,7 +136,7 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
         near_m = ends_m[1], ends_m[1]
         if sight is not None and not np.isnan(sight.distance_m):
             near_m = sight.distance_m, sight.nearest_m
-        lines.append(_facets_in_words(scenario, mesh, np.array(near_m) / camera.fx_px))
+        lines.append(_facets_in_words(spec, mesh, len(coarse.mesh.faces), np.array(near_m) / camera.fx_px))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     pairs = spec.crater_pairs
@@ -275,20 +277,19 @@ def memory_in_words(scenario: LoadedScenario) -> list[str]:
     return [f"{have} about {told} facets: each process that makes images takes about {size / 1e9:.2g} GB of memory"]
 
 
-def _facets_in_words(scenario: LoadedScenario, mesh: TriangleMesh, m_per_px: FloatArray) -> str:
+def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, of_file: int, m_per_px: FloatArray) -> str:
     """Describe the facets against a pixel, (2,) of all views and at the nearest point, and those of a site.
 
-    Say what to change if they are coarse; the nearest point is named if they are coarse there alone.
+    ``of_file`` is how many the shape file has. Say what to change if they are coarse; the nearest point is named if
+    they are coarse there alone.
     """
-    spec, site = scenario.spec, None
+    site = None
     if spec.craters is not None:
         edge_m, key = spec.craters.edge_m, "lower craters.edge_m"
     else:
         key = "take a finer shape, or raise body.detail.facets"
         site = None if spec.body.detail is None else spec.body.detail.site
-        # Of the body beside its site and local shapes, whose facets are finer.
-        coarse = load_body(without_detail(spec.body), scenario.search_dirs).mesh
-        count = detailed_count(spec.body, len(coarse.faces))
+        count = detailed_count(spec.body, of_file)  # without the finer facets of a site and of local shapes
         area_m2 = float(mesh.areas_m2.sum())
         edge_m = math.sqrt(4.0 / math.sqrt(3.0) * area_m2 / count)  # of equilateral triangles
     edge_px, nearest_px = (edge_m / m_per_px).tolist()

@@ -33,6 +33,7 @@ from boresight.scenarios.spec.body import (
     FurtherHeightErrorSpec,
     HeightErrorSpec,
     LocalSpec,
+    without_detail,
 )
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
@@ -214,8 +215,7 @@ def expected_facets(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> int:
 
     Raise BoresightError if a shape is not found or not valid.
     """
-    coarse = spec.model_copy(update=dict.fromkeys(("detail", "height_error", "even_facets", "local", "albedo_map")))
-    count = detailed_count(spec, len(load_body(coarse, search_dirs).mesh.faces))
+    count = detailed_count(spec, len(load_body(without_detail(spec), search_dirs).mesh.faces))
     site = 0 if spec.detail is None or spec.detail.site is None else spec.detail.site.facets
     local = (local_facets(*_local_shape(one, _local_path(one, search_dirs)), one) for one in spec.local or ())
     return count + site + sum(local)

@@ -15,14 +15,13 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.merge import Models, Plain, field_models, meant_model
 from boresight.scenarios.spec.base import SpecModel, rule_of
-from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.body import ADDED_TO_SHAPE, BodySpec, without_detail
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec, CratersSpec
 
 Model = TypeVar("Model", bound=SpecModel)
 Sides = tuple[float, float, float]
 
-_ADDED_TO_SHAPE = ("detail", "height_error", "even_facets", "local", "albedo_map")
 _THOMSEN = 1.6075
 
 
@@ -115,7 +114,7 @@ def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> S
     def sides_m() -> Sides | None:
         given = plain.get("body") or {}
         try:
-            body = part(BodySpec, {key: given[key] for key in given if key not in _ADDED_TO_SHAPE})
+            body = part(BodySpec, {key: given[key] for key in given if key not in ADDED_TO_SHAPE})
         except (ValidationError, TypeError):
             return None
         return body_sides_m(body.embedded() if embedded else body, folders)
@@ -150,11 +149,6 @@ def surface_m(plain: Plain, folders: Sequence[Path], embedded: bool, direction: 
         _ = craters.listed_from_m  # refused where it is missing, before the surface is made
         return cratered_surface(body, craters, folders).distance_along_m(direction)
     return load_body(body, folders).mesh.distance_along_m(direction)
-
-
-def without_detail(body: BodySpec) -> BodySpec:
-    """Return a body as its shape file has it."""
-    return body.model_copy(update=dict.fromkeys(_ADDED_TO_SHAPE))
 
 
 def body_sides_m(body: BodySpec, search_dirs: Sequence[Path]) -> Sides | None:

@@ -212,3 +212,12 @@ class BodySpec(SpecModel):
             return self
         reading = {key: BodySpec.model_fields[key].default for key in ("unit", "format", "longitude")}
         return self.model_copy(update={**reading, "shape": STAND_INS[self.shape], "local": None, "albedo_map": None})
+
+
+ADDED_TO_SHAPE = ("detail", "height_error", "even_facets", "local", "albedo_map")
+"""Keys of what is made of the shape in a file."""
+
+
+def without_detail(body: BodySpec) -> BodySpec:
+    """Return a body as its shape file has it."""
+    return body.model_copy(update=dict.fromkeys(ADDED_TO_SHAPE))
