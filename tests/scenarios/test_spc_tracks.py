@@ -174,13 +174,6 @@ SUMS = {
 }
 
 
-@pytest.mark.parametrize("name", SUMS)
-def test_wrong_sum_files_are_refused_with_line_or_keyword(tmp_path, name):
-    old, new, said = SUMS[name]
-    assert old in text()
-    refused(read_sum_landmarks, tmp_path / "W1.SUM", text().replace(old, new), said)
-
-
 LMKS = {
     "name": ("FA0042 ", "FA0043 ", "line 1: 'FA0043   T      0.2500  0.0500' does not begin with the name FA0042"),
     "missing": ("  VLM", "  VLN", "VLM: missing: no LMK file, or cut short"),
@@ -192,19 +185,26 @@ LMKS = {
 }
 
 
-@pytest.mark.parametrize("name", LMKS)
-def test_wrong_lmk_files_are_refused_with_line_or_keyword(tmp_path, name):
-    old, new, said = LMKS[name]
-    content = lmk_text("FA0042", np.array([2.0, 0.5, -0.4]), {"W1": (1.0, 2.0)})
+LMK = lmk_text("FA0042", np.array([2.0, 0.5, -0.4]), {"W1": (1.0, 2.0)})
+WRONG = [
+    pytest.param(read, name, content, *change, id=f"{name}-{what}")
+    for read, name, content, changes in (
+        (read_sum_landmarks, "W1.SUM", text(), SUMS), (read_lmk, "FA0042.LMK", LMK, LMKS),
+    )
+    for what, change in changes.items()
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("read", "name", "content", "old", "new", "said"), WRONG)
+def test_wrong_files_are_refused_with_line_or_keyword(tmp_path, read, name, content, old, new, said):
     assert old in content
-    refused(read_lmk, tmp_path / "FA0042.LMK", content.replace(old, new), said)
+    refused(read, tmp_path / name, content.replace(old, new), said)
 
 
 def test_a_file_that_is_cut_short_anywhere_is_refused(tmp_path):
-    lmk = lmk_text("FA0042", np.array([2.0, 0.5, -0.4]), {"W1": (1.0, 2.0)})
     for read, name, content, end in (
         (read_sum_landmarks, "W1.SUM", text(), "LIMB FITS"),
-        (read_lmk, "FA0042.LMK", lmk, "END FILE"),
+        (read_lmk, "FA0042.LMK", LMK, "END FILE"),
     ):
         path = tmp_path / name
         for length in range(content.rindex(end) + len(end)):
