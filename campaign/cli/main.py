@@ -29,7 +29,7 @@ PEERS = (
     "all", "quick", "plain", "kernels", "images", "rays", "adjustment", "smoother", "methods", "recognition", "scaling",
     "size",
 )  # fmt: skip
-"""Works that are timed beside those of other software or a yardstick, by tests/benchmarks, and groups of them."""
+"""Works that tests/benchmarks times, against other software or a yardstick, and groups of them."""
 
 _TRIALS, _SAMPLES = 20, 16
 """Defaults of ``sensitivity``: trials of each sample, and size of the design."""

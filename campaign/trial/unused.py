@@ -6,13 +6,13 @@ OF_IMAGES = (
     *("rendering", "detector", "brdf", "lighting", "craters"),
     *("body.shading", "body.albedo_map", "body.detail.albedo"),
 )
-"""What only images show."""
+"""Keys that change images alone."""
 
 SUN_OF_VIEWS = ("lighting.phase_deg", "lighting.measure")
-"""Where the Sun is in the images of a viewpoint: others have directions to the Sun of their own."""
+"""The Sun in images of a viewpoint; other trials have their own direction to the Sun."""
 
 OF_OBSERVATIONS = ("pose_error", "sensors")
-"""What estimators of single images are told beside the image."""
+"""What an estimator of single images gets with the image: the prior, and measurements of sensors."""
 
 LENS = ("camera.distortion",)
-"""The lens: rims and tracks come after its correction, and images that are of a pinhole have none."""
+"""The lens: rims and tracks are corrected for it, and images of a pinhole have none."""
