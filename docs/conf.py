@@ -1,5 +1,6 @@
 """Sphinx configuration. Pages below `reference/` and `estimators/` are written by `_ext/generated.py` at each build."""
 
+import hashlib
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -27,7 +28,13 @@ smartquotes = False  # they turn the two hyphens of an option into a dash
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "fieldlist"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(HERE.parent / "build" / "jupyter-cache")
+# Executed notebooks are kept as long as the code and the catalogue that they ran with.
+_code = hashlib.sha256()
+for _folder in ("campaign", "estimators", "renderers", "reports", "scenarios"):
+    for _file in sorted(HERE.parent.joinpath(_folder).rglob("*")):
+        if _file.suffix in {".py", ".yaml"}:
+            _code.update(_file.read_bytes())
+nb_execution_cache_path = str(HERE.parent / "build" / "jupyter-cache" / _code.hexdigest()[:16])
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
