@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -18,17 +18,20 @@ from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances, free_directions, shares_of_prior
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.observation import CameraSigma, Observation
+from boresight.scenarios.observation import CameraSigma, Frame, Observation
 from boresight.scenarios.reading import CONTENT_FAULTS
 from boresight.scenarios.spec.base import SpecModel
 
 PRODUCT = "covariance-tuning"
 FILE = "tuning.json"
-VERSION = 3
+VERSION = 4
 """Version of the rehearsal and of the fit: raise it when factors change."""
 
 _LEAST_SOLVED = 20
 _LARGEST_FACTOR = 1e8
+_LARGEST_RATIO = 1e4
+"""Of the factors at the two ends of the phase angles."""
+_LEAST_WIDTH_RAD = 1e-3
 _CAP_SHARE, _WRONG_SHARE = 0.99, 0.999
 
 
@@ -67,25 +70,40 @@ class Rehearsed:
         (6,) error of the pose [rotation_rad, translation_m], camera axes: the estimate is ``true.perturbed(error)``.
     covariance, prior_covariance
         (6, 6) stated by the base, and that of the prior.
+    phase_rad
+        See `phase_rad`.
     """
 
     error: FloatArray
     covariance: FloatArray
     prior_covariance: FloatArray
+    phase_rad: float
+
+
+def phase_rad(frame: Frame) -> float:
+    """Return the phase angle, Sun - body - camera, at the pose of the prior."""
+    towards_body = frame.prior_T_cam_body.translation_m / np.linalg.norm(frame.prior_T_cam_body.translation_m)
+    return float(np.arccos(np.clip(-towards_body @ frame.sun_dir_cam, -1.0, 1.0)))
 
 
 @dataclass(frozen=True, slots=True)
 class CovarianceTuning:
     """By how much a method understates the errors of its image, and how many rehearsals say so.
 
-    Of several declared reflectances it is of the one with the greatest factor. ``wrong`` of the ``solved`` images have
+    The factor follows the phase angle: ``factors`` are at the least and the largest of the rehearsals, ``phases_rad``.
+    Of several declared reflectances it is of the one with the greatest factors. ``wrong`` of the ``solved`` images have
     an error beyond the 99.9 % quantile of the tuned covariance.
     """
 
-    factor: float
+    phases_rad: tuple[float, float]
+    factors: tuple[float, float]
     wrong: int
     solved: int
     trials: int
+
+    def factor(self, phase_rad: float) -> float:
+        """Return the factor at a phase angle: its logarithm is linear, and constant beyond the ends."""
+        return float(np.exp(np.interp(phase_rad, self.phases_rad, np.log(self.factors))))
 
     def save(self, folder: Path) -> None:
         """Write the tuning into ``folder``."""
@@ -96,7 +114,9 @@ class CovarianceTuning:
         """Read a stored tuning; raise BoresightError if it cannot be read."""
         path = folder / FILE
         try:
-            return cls(**json.loads(path.read_text(encoding="utf-8")))
+            found = json.loads(path.read_text(encoding="utf-8"))
+            phases, factors = ((float(low), float(high)) for low, high in (found["phases_rad"], found["factors"]))
+            return cls(phases, factors, *(int(found[name]) for name in ("wrong", "solved", "trials")))
         except CONTENT_FAULTS as error:
             raise BoresightError(f"{path}: cannot be read as a tuning: {error}; run the campaign again") from error
 
@@ -119,17 +139,18 @@ def tuned_covariance(covariance: FloatArray, prior_covariance: FloatArray, facto
     return np.asarray(inverse.T @ (_tuned(shares, factor)[:, None] * inverse), dtype=np.float64)
 
 
-def _tuned(shares: FloatArray, factor: float) -> FloatArray:
+def _tuned(shares: FloatArray, factor: float | FloatArray) -> FloatArray:
     # 1 / share = 1 + information of the image.
     return np.where(shares < 1.0, factor / (1.0 - shares + factor * shares), 1.0) * shares
 
 
 def fit_tuning(rehearsed: Sequence[Rehearsed], trials: int) -> CovarianceTuning:
-    """Return the factor with which e^T P'^-1 e over rehearsals is that of a chi-square, on average up to its 99 %.
+    """Return the factors with which e^T P'^-1 e over rehearsals is that of a chi-square, on average up to its 99 %.
 
     The mean of min(e^T P'^-1 e, c) is that of a chi-square, c its quantile (Huber 1981, section 6.4, proposal 2): a few
     wrong answers, which no covariance covers, move the factor as little as answers at c. It has 6 degrees of freedom,
-    less those in which the prior has no error. The factor is within 1e-8 and 1e8.
+    less those in which the prior has no error. The logarithm of the factor is linear in the phase angle, with the slope
+    at which these values do not lean on it. The factor is within 1e-8 and 1e8, at both ends within 1e4 of one another.
     """
     freedom = float(np.mean([free_directions(one.prior_covariance) for one in rehearsed]))
     cap = chi2.ppf(_CAP_SHARE, freedom)
@@ -138,22 +159,39 @@ def fit_tuning(rehearsed: Sequence[Rehearsed], trials: int) -> CovarianceTuning:
     parts = [shares_of_prior(one.covariance, floor_variances(one.prior_covariance)) for one in rehearsed]
     shares = np.array([of for of, _ in parts])
     squares = np.array([(axes.T @ one.error) ** 2 for (_, axes), one in zip(parts, rehearsed, strict=True)])
+    phases = np.array([one.phase_rad for one in rehearsed])
+    ends = np.array([phases.min(), phases.max()])
+    width, middle = float(np.ptp(ends)), float(phases.mean())
+    beside = (phases - middle) / (width or 1.0)
 
-    def weighed(factor: float) -> FloatArray:
-        return np.asarray(np.sum(squares / _tuned(shares, factor), axis=1), dtype=np.float64)
+    def weighed(level: float, slope: float) -> FloatArray:
+        factors = np.exp(level + slope * beside)
+        return np.asarray(np.sum(squares / _tuned(shares, factors[:, None]), axis=1), dtype=np.float64)
 
-    def excess(exponent: float) -> float:
-        return float(np.mean(np.minimum(weighed(np.exp(exponent)), cap)) - expected)
+    def excess(level: float, slope: float) -> FloatArray:
+        return np.minimum(weighed(level, slope), cap) - expected
 
-    most = float(np.log(_LARGEST_FACTOR))
-    if excess(most) >= 0.0:
-        factor = _LARGEST_FACTOR
-    elif excess(-most) <= 0.0:
-        factor = 1.0 / _LARGEST_FACTOR
-    else:
-        factor = float(np.exp(brentq(excess, -most, most, xtol=1e-6)))
-    wrong = int((weighed(factor) > chi2.ppf(_WRONG_SHARE, freedom)).sum())
-    return CovarianceTuning(factor, wrong, len(rehearsed), trials)
+    def level_at(slope: float) -> float:
+        return _root(lambda level: float(excess(level, slope).mean()), float(np.log(_LARGEST_FACTOR)))
+
+    # Rehearsals of one phase angle have no slope.
+    leans = width > _LEAST_WIDTH_RAD
+    slope = (
+        _root(lambda one: float(beside @ excess(level_at(one), one)), float(np.log(_LARGEST_RATIO))) if leans else 0.0
+    )
+    level = level_at(slope)
+    low, high = np.exp(level + slope * (ends - middle) / (width or 1.0)).tolist()
+    wrong = int((weighed(level, slope) > chi2.ppf(_WRONG_SHARE, freedom)).sum())
+    return CovarianceTuning((float(ends[0]), float(ends[1])), (low, high), wrong, len(rehearsed), trials)
+
+
+def _root(falling: Callable[[float], float], most: float) -> float:
+    """Return the zero of a falling function between -most and most, or the end that is nearer to it."""
+    if falling(most) >= 0.0:
+        return most
+    if falling(-most) <= 0.0:
+        return -most
+    return float(brentq(falling, -most, most, xtol=1e-6))
 
 
 def check_solved(solved: int, trials: int, base: str) -> None:
@@ -170,10 +208,10 @@ class TunedEstimator:
 
     Before the first image, the base is tried on simulated ones, seen as the scenario says: of a body with relief like
     that of the shape on board, which the base knows with the errors that the mission declares (``onboard.declared``).
-    One factor divides the information that the base states, so that its NEES over these trials is that of a true
-    covariance, where a few wrong answers count as little as answers at the 99 % ellipsoid; of several reflectances
-    that are declared, the greatest factor counts. The calibration's part (``onboard.camera_sigma``) is added
-    afterwards. The pose is that of the base.
+    A factor, which follows the phase angle, divides the information that the base states, so that its NEES over these
+    trials is that of a true covariance, where a few wrong answers count as little as answers at the 99 % ellipsoid; of
+    several reflectances that are declared, the greatest factor counts. The calibration's part
+    (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
 
     Use it when
     -----------
@@ -182,7 +220,7 @@ class TunedEstimator:
     It fails when
     -------------
     The base solves fewer than 20 rehearsed images. The factor holds for errors as large as was declared, on average
-    over the views of the scenario: not for each view. It is too small where the shape on board is a file with errors
+    over the views of a phase angle: not for each view. It is too small where the shape on board is a file with errors
     as large as its relief, for these are relief of the rehearsed body too. Wrong answers are not covered: the build
     says how many there were in rehearsals; ``consensus`` refuses them where another method contradicts.
 
@@ -197,7 +235,7 @@ class TunedEstimator:
     """
 
     name: ClassVar[str] = "tuned"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model: ClassVar[type[SpecModel]] = TunedOptions
     base: ClassVar[str] = "photometric"
 
@@ -232,7 +270,7 @@ class TunedEstimator:
             return estimate
         if estimate.covariance is None:
             return Estimate("failed", "the base gives no covariance to tune")
-        prior, factor = observation.frame.prior_covariance, self._tuning.factor
+        prior, factor = observation.frame.prior_covariance, self._tuning.factor(phase_rad(observation.frame))
         tuned = tuned_covariance(estimate.covariance, prior, factor)
         return replace(
             estimate,

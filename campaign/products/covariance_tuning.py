@@ -27,6 +27,7 @@ from boresight.estimators.tuned import (
     Rehearsed,
     check_solved,
     fit_tuning,
+    phase_rad,
 )
 from boresight.renderers.detector import Detector
 from boresight.scenarios.arrays import FloatArray
@@ -59,10 +60,15 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     solved = [[one for one in (found[t] for t in share) if one is not None] for share in shares]
     check_solved(laws * min(map(len, solved)), options.trials, options.base)
     tunings = [fit_tuning(own, len(share)) for own, share in zip(solved, shares, strict=True)]
-    tuning = max(tunings, key=lambda one: one.factor)
+    tuning = max(tunings, key=lambda one: math.prod(one.factors))
     tuning.save(folder)
     solved_of = f"{tuning.solved} of {tuning.trials}"
-    return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": solved_of, "wrong": tuning.wrong}
+    return {"covariance_factors": _factors(tuning), "solved": solved_of, "wrong": tuning.wrong}
+
+
+def _factors(tuning: CovarianceTuning) -> str:
+    """Write the factors at the least and at the largest phase angle."""
+    return " to ".join(f"{factor:.4g}" for factor in tuning.factors)
 
 
 def _number(options: Rehearsals, trial: int) -> int:
@@ -122,7 +128,8 @@ def _rehearse(
     if answer.status != "ok" or answer.pose is None or not _is_covariance(answer.covariance):
         return None
     error = pose_offset(image.view.T_cam_body, answer.pose)
-    return Rehearsed(error, answer.covariance, observation.frame.prior_covariance)
+    frame = observation.frame
+    return Rehearsed(error, answer.covariance, frame.prior_covariance, phase_rad(frame))
 
 
 def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
@@ -181,7 +188,7 @@ PRODUCTS = {
         announce=lambda options: f"{options.trials} images with {options.base}",
         build=build,
         load=CovarianceTuning.load,
-        about=lambda tuning: {"covariance_factor": tuning.factor, "solved": tuning.solved, "trials": tuning.trials},
+        about=lambda tuning: {"covariance_factors": _factors(tuning), "solved": tuning.solved, "trials": tuning.trials},
         of_views=True,
     )
 }

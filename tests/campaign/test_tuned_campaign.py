@@ -195,7 +195,7 @@ def test_the_pose_stays_and_the_covariance_is_scaled_whatever_the_number_of_jobs
     for column in ("position_error_m", "attitude_error_deg"):
         np.testing.assert_array_equal(tuned[column], base[column])
     diagnostics = found.table("diagnostics")
-    factors = diagnostics[diagnostics["name"] == "covariance_factor"]["value"].unique()
-    assert len(factors) == 1 and factors[0] != pytest.approx(1.0, abs=0.1)
+    factors = diagnostics[diagnostics["name"] == "covariance_factor"].set_index("trial")["value"]
+    assert (abs(factors - 1.0) > 0.1).all()
     # The prior is weak here: nearly all information is the image's.
-    np.testing.assert_allclose(tuned["nees"], base["nees"] / factors[0], rtol=0.05)
+    np.testing.assert_allclose(tuned["nees"], base["nees"] / factors.loc[tuned.index], rtol=0.05)
