@@ -17,6 +17,8 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _LEAST_PIXELS = 3
 _MARGIN_PX = 5
 _STAR_PX = 7  # side of a group that may be a star
+# Of the area of the body's group: what is smaller and touches the border of the image is a cosmic ray, not the body.
+_SPECK_SHARE = 0.005
 _SKY_ROWS = 128
 BODY_SHARE = 0.2
 """Of the bright level of a body: dust before the sky of 67P has up to a tenth."""
@@ -87,8 +89,9 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
     fiftieth. All such groups within ``diameter_px`` of its middle that are not larger belong to it: shadows divide a
     body. A group that does not fit with the larger ones into one circle is of another body; the circle is
     ``diameter_px`` wide, and wider by two standard deviations of the range, or as wide as that of the first group.
-    Small groups beyond half of ``diameter_px`` are taken for stars. Groups within five standard deviations of where the
-    prior has the body come first: stars may be larger than a small body.
+    Small groups beyond half of ``diameter_px`` are taken for stars, and groups of less than 0.5 % of the area at the
+    border of the image for tracks of cosmic rays, so that they do not say that the frame cuts the body. Groups within
+    five standard deviations of where the prior has the body come first: stars may be larger than a small body.
 
     What is found is another body if its bright part is more than twice the predicted area, or if it is less than a
     quarter of ``lit_px`` and the frame does not cut it, by more than five standard deviations of the range. Raise
@@ -125,13 +128,15 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     star = (sides <= _STAR_PX) & (apart_px > 0.5 * diameter_px)
     kept = (areas >= _LEAST_PIXELS) & (areas <= areas[first]) & (apart_px <= diameter_px + _MARGIN_PX) & ~star
+    corners = stats[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top]
+    ends, whole = corners + stats[:, [2, 3]], np.array([camera.width_px, camera.height_px])
+    at_border = ((corners <= 0) | (ends >= whole)).any(axis=1)
+    kept &= ~at_border | (areas >= _SPECK_SHARE * areas[first])
     sigma = _range_sigma(frame)
     kept &= of_one_body(labels, stats[:, :4], np.where(kept, areas, 0), diameter_px * (1.0 + 2.0 * sigma))
-    corner, size = stats[kept][:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]] + [left, top], stats[kept][:, [2, 3]]
-    whole = np.array([camera.width_px, camera.height_px])
-    low, high = corner.min(axis=0), (corner + size).max(axis=0)
-    cut = bool((low <= 0).any() or (high >= whole).any())
-    low, high = np.maximum(low - _MARGIN_PX, 0), np.minimum(high + _MARGIN_PX, whole)
+    cut = bool(at_border[kept].any())
+    low = np.maximum(corners[kept].min(axis=0) - _MARGIN_PX, 0)
+    high = np.minimum(ends[kept].max(axis=0) + _MARGIN_PX, whole)
     box = slice(low[1], high[1]), slice(low[0], high[0])
     chosen = Patch(kept[labels].astype(np.float64), left, top)
     patch = Patch(image[box].astype(np.float64) - level, int(low[0]), int(low[1]))

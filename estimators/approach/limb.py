@@ -130,7 +130,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 

@@ -37,6 +37,18 @@ def test_only_the_body_is_found():
     assert not found.cut
 
 
+@pytest.mark.parametrize(("rows_px", "cut"), [(0, False), (1, False), (2, True)])
+def test_a_track_at_the_border_does_not_cut_the_body(rows_px, cut):
+    """A cosmic ray of 10 px, 0.35 % of the body's area, is no part of it; 20 px are: a shadow may divide the body."""
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
+    disc = np.hypot(columns - 80, rows - 35) < 30.0
+    image = np.where(disc, 200.0, 10.0).astype(np.float32)
+    image[:rows_px, 75:85] = 900.0
+    found = found_in(image, 65.0)
+    assert found.cut == cut
+    assert np.count_nonzero(found.lit) == disc.sum() + (10 * rows_px if cut else 0)
+
+
 def two_discs(frame: Frame, apart_px: float, radius_px: float = 12.0) -> np.ndarray:
     """A disc of 30 px at the prior's place, lit from the right on its half, and a second one at an angle from it."""
     rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px] + 0.5
