@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, Truth, look_down, with_track_errors
 
+from boresight.estimators.slam.adjustment.global_map import GlobalMap
 from boresight.estimators.slam.adjustment.problem import Distances, PixelMeasurements, State
 from boresight.estimators.slam.adjustment.solver import (
     Retained,
@@ -20,7 +21,7 @@ from boresight.estimators.slam.adjustment.solver import (
     minimise,
     view_covariance,
 )
-from boresight.estimators.slam.smoothing.loop_smoother import GlobalMap, LoopSmoother, compatible_pairs
+from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother, compatible_pairs
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.observation import TrackFrame, TrackRange, TrackSequence
 

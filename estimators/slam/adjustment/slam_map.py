@@ -51,7 +51,6 @@ class SlamMap:
         self.gated = False
         self.last_depth_m: float | None = None
         self._indices: dict[int, _FrameIndex] = {}
-        self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def pixels(self, views: Sequence[int], tracks: Sequence[int]) -> PixelMeasurements:
         """Collect the pixels of ``tracks`` (sorted) in ``views``, numbered by their indices in the two lists."""
@@ -95,7 +94,7 @@ class SlamMap:
             start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
             end=np.array([slots[view] for view in ends], dtype=np.int64),
             displacement_m=rows_of_3([self.frames[view].motion_m for view in ends]),
-            information=rows_of_3([self._motion_information(view) for view in ends]).reshape(-1, 3, 3),
+            information=np.linalg.inv(np.array([self.frames[view].motion_covariance_m2 for view in ends])),
         )
 
     def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
@@ -156,7 +155,7 @@ class SlamMap:
         """List for each track the views among ``views`` that saw it."""
         seen: defaultdict[int, list[int]] = defaultdict(list)
         for view in views:
-            for track in self._index(view).rows:
+            for track in self.frames[view].tracks.tolist():
                 seen[track].append(view)
         return dict(seen)
 
@@ -206,7 +205,7 @@ class SlamMap:
         if not mapped:
             return
         rows, points_m = [row for row, _ in mapped], rows_of_3([self.points_m[track] for _, track in mapped])
-        before = before_m, self._motion_information(view)
+        before = before_m, np.asarray(np.linalg.inv(frame.motion_covariance_m2), dtype=np.float64)
         self.positions_m[view] = place_view(self.camera, frame, rows, points_m, before, rule)
 
     def determined(
@@ -244,15 +243,6 @@ class SlamMap:
         origins = rows_of_3([self.positions_m[view] for view in views])
         point: FloatArray = kernels.triangulate(origins, rays, np.array([0, len(views)]), np.array([depth_m]))[0]
         return point
-
-    def _motion_information(self, view: int) -> FloatArray:
-        """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""
-        covariance = self.frames[view].motion_covariance_m2
-        kept = self._information.get(view)
-        # By identity: a propagator replaces the frame's covariance by a new array.
-        if kept is None or kept[0] is not covariance:
-            kept = self._information[view] = covariance, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-        return kept[1]
 
     def _index(self, view: int) -> _FrameIndex:
         kept = self._indices.get(view)

@@ -9,18 +9,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import gammaincinv
 
-from boresight.estimators.slam.adjustment.problem import (
-    AdjustedWindow,
-    Adjustment,
-    Distances,
-    Motions,
-    PixelMeasurements,
-    QuadraticPrior,
-    State,
-)
-from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
+from boresight.estimators.slam.adjustment.global_map import GlobalMap
+from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Distances, PixelMeasurements, State
+from boresight.estimators.slam.adjustment.slam_map import lookup
 from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule, kept_covariance, marginalise_outside
-from boresight.estimators.slam.adjustment.track_errors import FIELD, TrackErrors
 from boresight.estimators.slam.association.gating import diagonal_blocks
 from boresight.estimators.slam.association.outliers import without_tracks
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -75,82 +67,6 @@ def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, proba
         if (len(members), -total) > best:
             best, found = (len(members), -total), members
     return sorted(found)
-
-
-class GlobalMap:
-    """Map of all frames, whose tracks are renumbered to landmarks: a landmark has the number of its oldest track.
-
-    ``landmark`` has the landmark of each track that was merged into another one, ``members`` the tracks of each
-    landmark with more than one, and ``seen`` the frames of each landmark.
-    """
-
-    def __init__(self, sequence: TrackSequence, errors: TrackErrors | None = None, *, motion: bool) -> None:
-        self.slam_map = SlamMap(sequence.camera)
-        if errors is not None:
-            self.slam_map.errors = errors
-        self.first_m = sequence.position_m
-        self.first_covariance_m2 = sequence.position_covariance_m2
-        self.motion = motion
-        self.landmark: dict[int, int] = {}
-        self.members: dict[int, set[int]] = {}
-        self.seen: dict[int, set[int]] = {}
-
-    def add(self, number: int, frame: TrackFrame) -> None:
-        """Add a frame, or replace it if its pixels have changed."""
-        # A gate may have refused pixels since the frame was added.
-        if number in self.slam_map.frames:
-            for landmark in self.slam_map.frames[number].tracks.tolist():
-                self.seen[landmark].discard(number)
-        self.slam_map.frames[number] = self._renamed(frame)
-        for landmark in self.slam_map.frames[number].tracks.tolist():
-            self.seen.setdefault(landmark, set()).add(number)
-
-    def of(self, track: int) -> int:
-        """Return the landmark of a track."""
-        return self.landmark.get(track, track)
-
-    def may_merge(self, first: int, second: int) -> bool:
-        """Return whether two landmarks have different numbers and never appear in one frame."""
-        return first != second and not self.seen.get(first, set()) & self.seen.get(second, set())
-
-    def merge(self, new: int, old: int) -> None:
-        """Merge two landmarks into one with the number of ``old``."""
-        members = self.members.pop(new, {new})
-        self.members[old] = self.members.pop(old, {old}) | members
-        self.landmark.update(dict.fromkeys(members, old))
-        numbers = self.seen.pop(new)
-        self.seen[old] |= numbers
-        for number in numbers:
-            self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
-
-    def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
-        """Return the adjustment of all frames and its landmarks; those in ``kept`` stay in the reduced system."""
-        slam_map = self.slam_map
-        views = sorted(slam_map.frames)
-        tracks, seen = slam_map.determined(views, set(), set())
-        for track in tracks:
-            slam_map.triangulate_new([track], seen)
-        free = np.ones(len(views), dtype=np.bool_)
-        # A first position without error is fixed, and has no prior.
-        free[0] = bool(np.any(self.first_covariance_m2))
-        first = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2) if free[0] else None
-        prior, names = slam_map.errors.prior(first), slam_map.errors.views(views)
-        slam_map.positions_m.setdefault(FIELD, np.zeros(3))
-        problem = replace(
-            slam_map.problem(views, tracks),
-            free_views=free,
-            motions=slam_map.motions(views) if self.motion else Motions(),
-            prior=None if prior is None else replace(prior, views=lookup(names, prior.views)),
-            kept_points=np.isin(tracks, sorted(kept)),
-        )
-        landmarks = tracks, slam_map.state((), tracks).points_m
-        return slam_map.errors.extended(problem, views, landmarks, self.members), tracks
-
-    def _renamed(self, frame: TrackFrame) -> TrackFrame:
-        """Renumber the tracks of a frame to their landmarks."""
-        tracks = np.array([self.of(track) for track in frame.tracks.tolist()], dtype=np.int64)
-        ranges = tuple(replace(item, track=self.of(item.track)) for item in frame.ranges)
-        return replace(frame, tracks=tracks, ranges=ranges)
 
 
 class LoopSmoother(ConfiguredEstimator[LoopOptions]):
@@ -220,8 +136,7 @@ class _LoopClosingWindow(WindowSmoother):
             return estimate
         self._update_global_map()
         known = self.global_map
-        # A landmark seen once has no covariance along its line of sight.
-        ripe = [pair for pair in sorted(self.pending) if all(len(known.seen.get(known.of(t), ())) >= 2 for t in pair)]
+        ripe = known.ripe(self.pending)
         # Landmarks for tracks: earlier closures may have merged some. Two landmarks in one image are two.
         pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_merge(known.of(a), known.of(b))})
         if len(pairs) < self.loops.closure_pairs:

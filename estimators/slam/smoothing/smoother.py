@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from boresight.estimators.slam.adjustment.global_map import planned_covariance
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
 from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, view_covariance
@@ -64,8 +65,9 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
 
     def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
         """Predict by all frames at once, see `SequenceEstimator`: what a window forgets is not in the covariance."""
-        endless = self.options.model_copy(update={"lag": len(sequence.frames) + 1, "first_estimates": False})
-        return WindowSmoother(sequence, endless).foreseen(positions_m, points_m)
+        weighted = tuple(map(WindowSmoother(sequence, self.options).weighted, sequence.frames))
+        planned = replace(sequence, frames=weighted)
+        return planned_covariance(planned, positions_m, points_m, motion=self.options.motion)
 
 
 class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
@@ -96,17 +98,14 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
 
     def follower(self, sequence: TrackSequence) -> Follower:
         """Return the estimator at work on one sequence."""
-        return self._smoother(sequence)
-
-    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
-        """Predict by the normal matrix of all frames, see `SequenceEstimator`."""
-        return self._smoother(sequence).foreseen(positions_m, points_m)
-
-    def _smoother(self, sequence: TrackSequence) -> WindowSmoother:
         endless = SmootherOptions.model_construct(
             **self.options.model_dump(), lag=len(sequence.frames) + 1, first_estimates=False
         )
         return WindowSmoother(sequence, endless)
+
+    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
+        """Predict by the normal matrix of all frames, see `SequenceEstimator`."""
+        return planned_covariance(sequence, positions_m, points_m, motion=self.options.motion)
 
 
 class WindowSmoother:
@@ -119,7 +118,6 @@ class WindowSmoother:
     def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:
         self.options = options
         self.slam_map = SlamMap(sequence.camera)
-        self.planned = sequence.frames
         self.first_m = sequence.position_m
         self.first_covariance_m2 = sequence.position_covariance_m2
         # With a covariance of zero the first view is fixed instead: its information would be infinite.
@@ -133,26 +131,6 @@ class WindowSmoother:
         self.adjusted: AdjustedWindow | None = None
         self.iterations = 0
         self.widest_prior = 0
-
-    def foreseen(self, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
-        """(3, 3) covariance of the last position by all frames, for given positions and landmarks; None if unknown.
-
-        No pixel is used: the derivatives are those at the given values, and no measurement is refused.
-        """
-        for number, (frame, position_m) in enumerate(zip(self.planned, positions_m, strict=True)):
-            self.slam_map.errors.add(frame)
-            self.slam_map.frames[number] = self.weighted(frame)
-            self.slam_map.positions_m[number] = position_m
-            self.views.append(number)
-        tracks, _ = self.slam_map.determined(self.views, set(), set())
-        self.slam_map.points_m.update((track, points_m[track]) for track in tracks)
-        self._set_first_prior()
-        problem = self._problem(tracks)
-        state = self.slam_map.state(self.slam_map.errors.views(self.views), tracks)
-        try:
-            return view_covariance(problem, state, len(self.views) - 1)
-        except np.linalg.LinAlgError:
-            return None
 
     def diagnostics(self) -> dict[str, float]:
         """Return the mean number of steps of a frame, and the largest number of variables in the prior."""
