@@ -48,7 +48,7 @@ def predict_command(arguments: argparse.Namespace) -> int:
     out.print(_table(found, run is not None))
     for one in found:
         if not one.n:
-            why = "the geometry of its views allows no estimate, or its tracks are of images or of a file"
+            why = "geometry or options allow none, or its tracks are of images or of a file"
             out.print(f"{one.scenario}, {one.estimator}: no prediction: {why}")
     out.print(f"linear, at the views of {trials} trials, seed {campaign.seed}; no image was made")
     if others:

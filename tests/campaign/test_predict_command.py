@@ -18,7 +18,7 @@ LIMB = "scenarios: [scene]\nestimators: [limb, prior]\ntrials: 6\nseed: 5\n"
 @pytest.fixture
 def orbits(tmp_path):
     file = write_sequences(tmp_path, 12)
-    file.write_text(file.read_text().replace("[dead-reckoning]", "[dead-reckoning, fixed-lag, ekf-slam]"))
+    file.write_text(file.read_text().replace("[dead-reckoning]", "[dead-reckoning, fixed-lag, ba-slam]"))
     return file
 
 
@@ -29,9 +29,9 @@ def test_predictions_and_a_run_are_pairs(orbits, tmp_path, capsys):
     assert main(["predict", str(orbits), "--run", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "12 / 12" in printed and "RMS / predicted" in printed
-    assert "no predictor: ekf-slam" in printed
+    assert "no predictor: ba-slam" in printed
     campaign, others = with_predictors(resolve(str(orbits), variant=choose_variant().name))
-    assert others == ["ekf-slam"]
+    assert others == ["ba-slam"]
     predicted = predict_errors(campaign, 12, tmp_path / "products", print)
     found = {one.estimator: one for one in summarise(predicted, read_run(out))}
     rows = RunFolder(out).table("rows")
@@ -55,12 +55,12 @@ def test_the_limb_is_predicted_without_an_image(cache, tmp_path, capsys, monkeyp
 
 
 def test_an_estimator_without_a_predictor_alone_is_refused(orbits, capsys):
-    assert main(["predict", str(orbits), "--estimator", "ekf-slam"]) == 2
+    assert main(["predict", str(orbits), "--estimator", "ba-slam"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no covariance can be predicted for ekf-slam" in line
-    assert main(["predict", str(orbits), "--estimator", "ekf"]) == 2
+    assert "no covariance can be predicted for ba-slam" in line
+    assert main(["predict", str(orbits), "--estimator", "ba"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "there are: dead-reckoning, fixed-lag, ekf-slam" in line
+    assert "there are: dead-reckoning, fixed-lag, ba-slam" in line
 
 
 def test_a_run_of_another_campaign_is_refused(orbits, tmp_path, capsys):

@@ -232,6 +232,28 @@ def test_a_merged_landmark_goes_on_under_its_track_in_view_or_else_its_newest() 
     assert min(counts.values()) > 5
 
 
+def test_closed_loops_are_predicted_without_the_pairs_that_are_wrong() -> None:
+    """The errors of six runs are chi-square, with bounds that chance leaves once in 1000; covariances agree to 5 %."""
+    square, method = 0.0, LoopSmoother()
+    for seed in range(6):
+        sequence, positions, points = loop(seed)
+        covariance = method.predict(sequence, positions, points)
+        last = method.follow(sequence).frames[-1]
+        error = last.position_m - positions[-1]
+        square += error @ np.linalg.solve(covariance, error)
+        assert np.trace(last.covariance_m2) == pytest.approx(np.trace(covariance), rel=0.05)
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], 18)
+    assert low < square < high
+    alone = FixedLagSmoother().predict(sequence, positions, points)
+    assert np.trace(covariance) < 0.25 * np.trace(alone)
+    frames = list(sequence.frames)
+    frames[20] = replace(frames[20], again=np.append(frames[20].again, [[frames[20].tracks[-1], 0]], axis=0))
+    mistaken = method.predict(replace(sequence, frames=tuple(frames)), positions, points)
+    np.testing.assert_array_equal(mistaken, covariance)
+    never = LoopSmoother.from_options({"closure_frames": 100})
+    np.testing.assert_array_equal(never.predict(sequence, positions, points), alone)
+
+
 def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -> None:
     """The sum of squared normalised errors is chi-square; its bounds are left by chance once in 10000."""
     trials = 4

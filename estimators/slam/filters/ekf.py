@@ -6,10 +6,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
+from boresight.estimators.slam.adjustment.global_map import planned_covariance
 from boresight.estimators.slam.association.gating import gate_pixels
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.filters.ekf_pose import PoseState
@@ -17,10 +18,11 @@ from boresight.estimators.slam.filters.ekf_state import FilterState
 from boresight.estimators.slam.filters.ekf_update import FrameMeasurements, iterated_update, kalman_update
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, check_scale
 from boresight.estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
-from boresight.scenarios.arrays import BoolArray
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.observation import Prediction, TrackFrame, TrackSequence
 
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
+Options = TypeVar("Options", bound=FilterOptions)
 
 _KNOWN = 0.1
 """Relative standard deviation of an inverse distance below which the distance counts as known, for the gate."""
@@ -32,7 +34,21 @@ _MAX_REFUSED_SHARE = 0.5
 """Share of refused pixels above which the filter counts as diverging."""
 
 
-class EkfSlam(ConfiguredEstimator[FilterOptions]):
+class _PredictedFilter(ConfiguredEstimator[Options]):
+    """Base of the filters, with their prediction."""
+
+    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
+        """Predict by all frames at once, see `SequenceEstimator`: a linear filter has used the same measurements.
+
+        The weak prior of a new landmark's distance is not in it. None with ``camera: pose``, whose attitude is unknown,
+        and with ``field_m``, which a filter considers and all frames would estimate.
+        """
+        if self.options.camera == "pose" or any(frame.field_m for frame in sequence.frames[:1]):
+            return None
+        return planned_covariance(sequence, positions_m, points_m)
+
+
+class EkfSlam(_PredictedFilter[FilterOptions]):
     """EKF-SLAM of Delpech et al. (2015): Kalman filter of the camera and of the landmarks in view, in inverse depth.
 
     The state of the camera is its position, with known attitude, or with ``camera: pose`` all 13 elements of the paper.
@@ -74,7 +90,7 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
         return _Filter(sequence, self.options, lambda state, measured: kalman_update(state, measured.innovation(state)))
 
 
-class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
+class IteratedEkfSlam(_PredictedFilter[IteratedFilterOptions]):
     """``ekf-slam`` with iterated updates: each ends at the minimum of the cost of prediction and measurements.
 
     Use it when
@@ -103,7 +119,7 @@ class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
         return _Filter(sequence, self.options, partial(iterated_update, steps=self.options.iterations))
 
 
-class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
+class ConsistentEkfSlam(_PredictedFilter[ConsistentFilterOptions]):
     """Iterated filter with first-estimates Jacobians, so that bearings give no information about the scale.
 
     Bearings do not depend on the scale. The filter's unobservable direction is the scale too if all derivatives by a

@@ -229,6 +229,28 @@ class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
         """Return the estimator at work on one sequence."""
         return _Smoother(sequence, self.options)
 
+    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
+        """Predict by all frames at once, see `SequenceEstimator`; None without forces, too."""
+        if sequence.forces is None or len(sequence.frames) < 2:
+            return None
+        window = DynamicWindow(sequence, sequence.forces)
+        window.begin(sequence)
+        window.views = list(range(len(sequence.frames)))
+        window.slam_map.frames = dict(enumerate(sequence.frames))
+        window.slam_map.positions_m = dict(enumerate(positions_m))
+        window.slam_map.points_m = {track: points_m[track] for track in window.slam_map.seen_by(window.views)}
+        # No velocity is planned: differences of the positions are near enough for the derivatives of an arc.
+        inertial_m = [frame.R_body_inertial.T @ at for frame, at in zip(sequence.frames, positions_m, strict=True)]
+        velocities_m = np.gradient(np.array(inertial_m), [frame.time_s for frame in sequence.frames], axis=0)
+        window.velocities_m = dict(enumerate(velocities_m * window.field.time_s))
+        tracks = window.tracks()
+        problem = window.problem(tracks, first_estimates=False)
+        rows = DynamicOrdering.of(problem)
+        try:
+            return covariance_of(problem, window.state(tracks), rows.position[-1], rows)
+        except np.linalg.LinAlgError:
+            return None
+
 
 class _Smoother:
     """Smoother on one sequence."""

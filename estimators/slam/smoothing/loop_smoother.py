@@ -104,6 +104,25 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
         """Return the estimator at work on one sequence."""
         return _LoopClosingWindow(sequence, self.options)
 
+    def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
+        """Predict by all frames, with the landmarks merged that closures merge; see `SequenceEstimator`."""
+        weighted, pending, closed_at = WindowSmoother(sequence, self.options).weighted, set[tuple[int, int]](), 0
+        known = GlobalMap(sequence, motion=self.options.motion)
+        for number, (frame, position_m) in enumerate(zip(sequence.frames, positions_m, strict=True)):
+            known.plan(weighted(frame), position_m)
+            # A wrong pair would not be compatible with the others.
+            right = np.all(points_m[frame.again[:, 0]] == points_m[frame.again[:, 1]], axis=1)
+            pending |= {(int(new), int(old)) for new, old in frame.again[right]}
+            ripe = known.ripe(pending) if number - closed_at >= self.options.closure_frames else []
+            if len(ripe) < self.options.closure_pairs:
+                continue
+            for new, old in ((known.of(a), known.of(b)) for a, b in ripe):
+                if known.may_merge(new, old):
+                    known.merge(new, old)
+            pending.difference_update(ripe)
+            closed_at = number
+        return known.covariance(points_m)
+
 
 class _LoopClosingWindow(WindowSmoother):
     """Window on one sequence, with the map of all frames.
