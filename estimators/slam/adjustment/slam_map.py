@@ -94,7 +94,9 @@ class SlamMap:
             start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
             end=np.array([slots[view] for view in ends], dtype=np.int64),
             displacement_m=rows_of_3([self.frames[view].motion_m for view in ends]),
-            information=np.linalg.inv(np.array([self.frames[view].motion_covariance_m2 for view in ends])),
+            information=np.linalg.inv(
+                np.array([self.frames[view].motion_covariance_m2 for view in ends]).reshape(-1, 3, 3)
+            ),
         )
 
     def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
