@@ -167,11 +167,11 @@ def fit_level(
     the body, which converts rotations to motions of its surface.
     """
     camera = reduced_camera(view.camera, level.reduction)
-    reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
+    reduced = replace(view, camera=camera)
     gradient = available_gradient(options.gradient, view.renderer)
     bright = reduced_image(observed, level.reduction)
     target = band_pass(bright, level)
-    steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
+    steps = parameter_steps(start, view.depth_share * camera.pixel_angle_rad, size_m, options.difference_px)
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
     for count in range(1, level.iterations + 1):
@@ -253,7 +253,10 @@ def available_gradient(wanted: Gradient | None, renderer: ImageRenderer) -> Grad
 
 
 def parameter_steps(pose: Pose, pixel_rad: float, size_m: float, motion_px: float) -> FloatArray:
-    """Return steps (6,) of the pose parameters that each move the body's outline by about ``motion_px``."""
+    """Return steps (6,) of the pose parameters that each move the body's outline by about ``motion_px``.
+
+    ``pixel_rad`` is the angle of a pixel, times `Alignment.depth_share`: low above the ground it moves, not an outline.
+    """
     range_m = float(np.linalg.norm(pose.translation_m))
     across_m = motion_px * pixel_rad * range_m
     turn_rad = across_m / size_m
@@ -382,6 +385,7 @@ def register(
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
     if shift.failure:
         return Registration(shift, failure=shift.failure)
+    view = replace(view, depth_share=shift.depth_share)
     # The prior is that of the frame, not shifted: the shift comes from the same image.
     prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
     fits: list[LevelFit] = []

@@ -24,6 +24,8 @@ from boresight.scenarios.spec.base import SpecModel
 _CUT_SHARE = 0.05
 """Share of the border's pixels above which the frame cuts the body."""
 _LEAST_OVERLAP = 0.4
+_PROBE_PX = 2.0  # shift of a rendering that tells how far its ground is
+_NEAR_TIMES = 2.0  # the shifting still converges where the ground moves by up to twice the step
 
 Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
 """(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""
@@ -38,11 +40,12 @@ class AlignmentOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshView:
-    """A rendered shape with its camera and the direction of the Sun in camera axes."""
+    """A rendered shape with its camera, the direction of the Sun in camera axes, and the share of `Alignment`."""
 
     camera: Camera
     renderer: ImageRenderer
     sun_dir_cam: FloatArray
+    depth_share: float = 1.0
 
     def at(self, T_cam_body: Pose) -> View:
         """Return the view from a pose; the Sun is fixed in camera axes."""
@@ -69,11 +72,16 @@ class AlignmentStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """The aligned pose with its iterations; ``failure`` is the reason where the alignment is impossible."""
+    """The aligned pose with its iterations; ``failure`` is the reason where the alignment is impossible.
+
+    ``depth_share`` is the depth of the ground over the range of the body's origin where the frame cuts a body whose
+    ground is nearer than half that range; else 1.
+    """
 
     T_cam_body: Pose
     steps: tuple[AlignmentStep, ...]
     failure: str = ""
+    depth_share: float = 1.0
 
 
 def align_translation(
@@ -84,8 +92,12 @@ def align_translation(
     The pose after the greatest number of iterations is returned like a converged one. ``observed`` (H, W) is the signal
     of the observed image, background 0, not black. ``measure`` returns the corresponding points: `centroid_pair` or
     `correlation_pair`. ``clock`` records the times ``mesh_rendering`` and ``centroid``.
+
+    The paper shifts a body by the range of its origin. Low above the ground, which is then much nearer, that is too far
+    by the ratio of both, and the iteration diverges: shifts are scaled there, see `Alignment`.
     """
     steps: list[AlignmentStep] = []
+    depth_share = 1.0
     while len(steps) < options.max_iterations:
         with clock("mesh_rendering"):
             rendered = view.render(T_cam_body)
@@ -95,12 +107,30 @@ def align_translation(
                 return Alignment(T_cam_body, tuple(steps), "the rendered mesh is out of view or in the dark")
             origin_px = view.camera.project(T_cam_body.translation_m)
             observed_px, rendered_px = measure(observed, signal.image, origin_px)
+        if not steps and is_cut(observed):
+            depth_share = _depth_share(signal.image, T_cam_body, view)
         steps.append(AlignmentStep(T_cam_body, rendered, observed_px, rendered_px))
-        T_cam_body = translation_update(T_cam_body, observed_px, rendered_px, view.camera)
+        target_px = observed_px
+        if depth_share < 1.0:
+            target_px = rendered_px + depth_share * (observed_px - rendered_px)
+        T_cam_body = translation_update(T_cam_body, target_px, rendered_px, view.camera)
         # Section 3.2.2: the centroid of the rendering varies by less than five pixels from one iteration to the next.
-        if len(steps) > 1 and np.linalg.norm(rendered_px - steps[-2].rendered_px) < options.tolerance_px:
+        if len(steps) > 1 and _moved_px(rendered_px - steps[-2].rendered_px, depth_share) < options.tolerance_px:
             break
-    return Alignment(T_cam_body, tuple(steps))
+    return Alignment(T_cam_body, tuple(steps), depth_share=depth_share)
+
+
+def _depth_share(rendered: Image, T_cam_body: Pose, view: MeshView) -> float:
+    """Return the share of `Alignment`, by how far the ``rendered`` signal (H, W) moves if the body is shifted."""
+    step_m = _PROBE_PX * view.camera.pixel_angle_rad * float(np.linalg.norm(T_cam_body.translation_m))
+    signal = extract_signal(view.render(T_cam_body.perturbed(np.zeros(3), np.array([step_m, 0.0, 0.0]))), KNOWN_SKY)
+    moved_px = 0.0 if signal.empty else float(_shift_of_overlap(signal.image, rendered)[0])
+    return _PROBE_PX / moved_px if moved_px > _NEAR_TIMES * _PROBE_PX else 1.0
+
+
+def _moved_px(origin_px: FloatArray, depth_share: float) -> float:
+    """Return the shift of the ground, px, from that of the body's origin (2,)."""
+    return float(np.linalg.norm(origin_px)) / depth_share
 
 
 def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: FloatArray, camera: Camera) -> Pose:

@@ -292,7 +292,7 @@ class LandmarkRecognizer:
     """
 
     name: ClassVar[str] = "landmark-harris"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = LandmarkOptions
 
     def __init__(

@@ -68,15 +68,27 @@ def visible_windows(
     to_camera = -anchors_cam_m / np.linalg.norm(anchors_cam_m, axis=1, keepdims=True)
     facing = np.einsum("ni,ni->n", T_cam_body.rotate(database.axes[:, 2]), to_camera) > _LEAST_COS_EMISSION
     seen = np.flatnonzero(facing & camera.contains(uv))
+    vertices_cam_m = T_cam_body.transform(vertices_m)
     # Bins of two steps of the grid, so that each bin on the body holds a vertex.
-    step_px = _BIN_STEPS * database.spacing_m / (camera.pixel_angle_rad * np.linalg.norm(T_cam_body.translation_m))
-    depth_m = _nearest_depth(T_cam_body.transform(vertices_m), anchors_cam_m[seen], camera, max(1.0, float(step_px)))
+    step_px = _BIN_STEPS * _step_px(database.spacing_m, vertices_cam_m, camera, T_cam_body)
+    depth_m = _nearest_depth(vertices_cam_m, anchors_cam_m[seen], camera, max(1.0, step_px))
     # The slack admits slanted ground, whose depth varies within a bin; other parts of the body are much nearer.
     seen = seen[anchors_cam_m[seen, 2] <= depth_m + _HIDDEN_STEPS * database.spacing_m]
     half = np.clip(np.rint(_half_size_px(database, camera, T_cam_body, seen)), *half_px).astype(np.int64)
     middle = np.floor(uv[seen]).astype(np.int64)
     size = np.array([camera.width_px, camera.height_px])
     return Windows(seen, uv[seen], np.maximum(middle - half, 0), np.minimum(middle + half + 1, size))
+
+
+def _step_px(spacing_m: float, vertices_cam_m: FloatArray, camera: Camera, T_cam_body: Pose) -> float:
+    """Return the size of a step of the grid in the image, px, at the range of the body's origin.
+
+    Bins and closing allow for twice that. Where the nearest vertex in view is nearer than half the range, it counts.
+    """
+    range_m = float(np.linalg.norm(T_cam_body.translation_m))
+    seen = camera.contains(camera.project(vertices_cam_m))
+    nearest_m = float(vertices_cam_m[seen, 2].min(initial=range_m))
+    return spacing_m / (camera.pixel_angle_rad * (nearest_m if nearest_m < 0.5 * range_m else range_m))
 
 
 def _half_size_px(database: MapletDatabase, camera: Camera, T_cam_body: Pose, seen: IntArray) -> FloatArray:
@@ -116,12 +128,13 @@ def body_mask(
     body appears too large.
     """
     # Vertices without a test for hidden ones: those of the far side lie within the same outline.
-    uv = camera.project(T_cam_body.transform(vertices_m))
+    vertices_cam_m = T_cam_body.transform(vertices_m)
+    uv = camera.project(vertices_cam_m)
     pixel = np.floor(uv[camera.contains(uv)]).astype(np.int64)
     pixel = np.minimum(pixel, [camera.width_px - 1, camera.height_px - 1])
     mask = np.zeros((camera.height_px, camera.width_px), dtype=np.uint8)
     mask[pixel[:, 1], pixel[:, 0]] = 1
-    step_px = spacing_m / (camera.pixel_angle_rad * float(np.linalg.norm(T_cam_body.translation_m)))
+    step_px = _step_px(spacing_m, vertices_cam_m, camera, T_cam_body)
     # Where vertices are farther apart than pixels, closing fills the holes between them.
     mask = _square(cv2.MORPH_CLOSE, mask, int(np.ceil(step_px)))
     return _square(cv2.MORPH_ERODE, mask, margin_px) > 0

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
-from boresight.estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
+from boresight.estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    correlation_pair,
+)
 from boresight.estimators.landmark.matching import inverse_2x2, point_columns
 from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
 from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
@@ -130,7 +136,7 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     if aligned.failure:
         return failed(aligned.failure)
     stages.append(Stage("alignment", aligned.T_cam_body))
-    return _rounds(observed, frame, aligned.T_cam_body, _FitContext(camera, scene, options, clock), stages)
+    return _rounds(observed, frame, aligned, _FitContext(camera, scene, options, clock), stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,11 +174,13 @@ class _FitContext:
         return float(np.nanmax(np.linalg.norm(motion, axis=1)))
 
 
-def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, stages: list[Stage]) -> MapletRecognition:
+def _rounds(
+    observed: Image, frame: Frame, aligned: Alignment, context: _FitContext, stages: list[Stage]
+) -> MapletRecognition:
     """Match by correlation, then by least squares until the pose no longer changes."""
     uncertainty = np.array(frame.prior_covariance)
-    range_m = float(np.linalg.norm(start.translation_m))
-    aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
+    depth_m = aligned.depth_share * float(np.linalg.norm(aligned.T_cam_body.translation_m))
+    aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * depth_m) ** 2
     # Across the line of sight the alignment replaces the prior where it is more accurate. The correlations stay, or the
     # matrix could lose its positive eigenvalues.
     variances = np.diag(uncertainty).copy()
@@ -182,7 +190,7 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
     uncertainty *= np.outer(share, share)
     np.fill_diagonal(uncertainty, smaller)
     fits: list[MapletFit] = []
-    pose = start
+    pose = aligned.T_cam_body
     for _ in range(1 + context.options.max_rounds):
         fit = context.fit(observed, frame, pose, None if fits else uncertainty)
         if isinstance(fit, str):
@@ -225,7 +233,7 @@ class MapletNavigator:
     """
 
     name: ClassVar[str] = "lmaps"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = MapletsOptions
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:

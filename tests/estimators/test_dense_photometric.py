@@ -97,6 +97,21 @@ def test_where_the_frame_cuts_the_body_its_mean_brightness_moves_the_pose_less(r
     assert turn_deg < min(0.45, 0.8 * without[1])
 
 
+@pytest.mark.parametrize("gradient", ["autodiff", "differences"])
+def test_low_above_the_ground_the_pose_is_found(renderer, gradient):
+    """At 30 m a pixel is 0.5 m of the ground, and 2.4 m at the range of the body's origin, 156 m."""
+    low, true = Camera.from_fov(128, 128, np.radians(90.0)), look_at(156.0 * TRUE.camera_position_m / 2000.0, 0.4)
+    sigmas = np.array([0.0005, 0.0005, 0.0005, 4.0, 4.0, 0.3])
+    seen = renderer.render(View(low, true, true.rotation.T @ SUN_CAM))
+    method = PhotometricEstimator(renderer, 120.0, PhotometricOptions(gradient=gradient))
+    for seed in range(3):
+        error = np.random.default_rng(seed).normal(0.0, sigmas)
+        start = Frame(seen, SUN_CAM, true.perturbed(error[:3], error[3:]), np.diag(sigmas**2))
+        found = method.estimate(Observation(low, start), rng=np.random.default_rng(0))
+        assert found.status == "ok", found.reason
+        assert np.linalg.norm(found.pose.translation_m - true.translation_m) < 0.2
+
+
 def test_a_level_ends_where_the_next_steps_would_be_short(renderer):
     """The image is brighter to one side than the rendering, as by another reflectance, which makes steps slow."""
     sun_cam = np.array([0.4, 0.2, -0.9]) / np.linalg.norm([0.4, 0.2, -0.9])

@@ -199,3 +199,36 @@ def test_a_body_that_covers_all_corners_is_not_taken_for_sky():
     np.testing.assert_array_equal(
         observed_signal(frame_of(with_sky), CAMERA), extract_signal(with_sky.astype(np.float32)).image
     )
+
+
+class Ground:
+    """Textured flat ground at a radius above the body's origin, seen straight down."""
+
+    def __init__(self, radius_m):
+        rng = np.random.default_rng(6)
+        angle, length_m = rng.uniform(0.0, 2.0 * np.pi, 60), rng.uniform(0.4, 2.5, 60)
+        self.waves = 2.0 * np.pi / length_m * np.array([np.cos(angle), np.sin(angle)])
+        self.phases = rng.uniform(0.0, 2.0 * np.pi, 60)
+        self.radius_m = radius_m
+
+    def render(self, view):
+        camera, origin_m = view.camera, view.T_cam_body.translation_m
+        depth_m = origin_m[2] - self.radius_m
+        u, v = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)
+        x, y = ((p - c) / 800.0 * depth_m for p, c in ((u, camera.cx_px), (v, camera.cy_px)))
+        texture = np.zeros(u.shape)
+        for (along, down), phase in zip(self.waves.T, self.phases, strict=True):
+            texture += np.cos(along * (x - origin_m[0]) + down * (y - origin_m[1]) + phase)
+        return (2.0 + texture / texture.std()).clip(0.1).astype(np.float32)
+
+
+@pytest.mark.parametrize(("radius_m", "share"), [(480.0, 40.0 / 520.0), (100.0, 40.0 / 140.0), (30.0, 1.0)])
+def test_near_ground_is_shifted_by_its_own_depth(radius_m, share):
+    """At 40 m a pixel is 5 cm of the ground, and up to 65 cm at the range of the body's origin."""
+    truth, ground = Pose(np.eye(3), np.array([1.0, -2.0, radius_m + 40.0])), Ground(radius_m)
+    view = MeshView(CAMERA, ground, np.array([0.0, 0.0, -1.0]))
+    prior = truth.perturbed(np.zeros(3), np.array([0.5, -0.3, 0.0]))
+    observed = ground.render(view.at(truth))
+    found = align_translation(observed, prior, view, correlation_pair, AlignmentOptions(tolerance_px=1.0), Stopwatch())
+    assert found.depth_share == pytest.approx(share, rel=0.05)
+    np.testing.assert_allclose(found.T_cam_body.translation_m[:2], truth.translation_m[:2], atol=0.05)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
+from boresight.estimators.landmark.alignment import Alignment
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.robust.estimator import ConsensusOptions, _prior_after_alignment
@@ -104,12 +107,14 @@ def test_an_alignment_is_known_across_the_line_of_sight_alone():
     sigma_m = 3.6 * camera.pixel_angle_rad * float(np.linalg.norm(TRUE.translation_m))
     covariance = np.diag([0.01, 0.01, 0.01, 3.0 * sigma_m, 3.0 * sigma_m, 40.0]) ** 2
     frame = Frame(np.zeros((512, 512), dtype=np.float32), np.array([0.0, 0.0, -1.0]), TRUE, covariance)
-    found = _prior_after_alignment(
-        frame, TRUE.perturbed(np.zeros(3), np.array([10.0, -20.0, 3.0])), camera, ConsensusOptions()
-    )
+    shifted = Alignment(TRUE.perturbed(np.zeros(3), np.array([10.0, -20.0, 3.0])), ())
+    found = _prior_after_alignment(frame, shifted, camera, ConsensusOptions())
     np.testing.assert_allclose(found.mean.translation_m - TRUE.translation_m, [9.0, -18.0, 0.0], atol=0.02)
     sigmas = np.sqrt(np.diag(np.linalg.inv(found.information)))
     np.testing.assert_allclose(sigmas, [0.01, 0.01, 0.01, *np.sqrt([0.9, 0.9]) * sigma_m, 40.0], rtol=0.01)
+    # A tenth of the range from the ground the same pixels are a tenth of the metres, beside which the prior is nothing.
+    near = _prior_after_alignment(frame, replace(shifted, depth_share=0.1), camera, ConsensusOptions())
+    np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(near.information)))[3:5], 0.1 * sigma_m, rtol=0.01)
 
 
 def test_each_climb_raises_the_posterior():

@@ -24,6 +24,7 @@ from boresight.estimators.maplets.matching import (
     MatchingOptions,
     _collect,
     _reach_px,
+    body_mask,
     visible_windows,
 )
 from boresight.estimators.maplets.recognizer import MapletFit, surface_covariances
@@ -144,6 +145,15 @@ def test_pixels_beside_a_shadow_of_either_image_are_unused():
     expected[3:6, 5:8] = False
     for pair in ((spotted, lit), (lit, spotted)):
         np.testing.assert_array_equal(make_pair(*pair, np.ones((9, 12), dtype=bool), 0.7, 0.12).usable, expected)
+
+
+@pytest.mark.parametrize("depth_m", [50.0, 2000.0])
+def test_the_mask_has_no_holes_between_vertices_of_near_ground(depth_m):
+    """At a depth of 50 m and a range of 500 m vertices 5 m apart are 159 px apart, and 16 px by the range."""
+    x, y = np.meshgrid(np.arange(-800.0, 801.0, 5.0), np.arange(-800.0, 801.0, 5.0))
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 450.0)])
+    pose = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, depth_m + 450.0]))
+    assert body_mask(vertices, CAMERA, pose, 5.0, 0).all()
 
 
 def plates(centres_m, turns=None):

@@ -122,7 +122,7 @@ class ConsensusRecognizer:
     """
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
@@ -194,7 +194,7 @@ class ConsensusRecognizer:
         sigma_px = options.mixture.corner_sigma_px
         # The grid is a ball: the largest of the three sigmas covers the prior in all directions.
         turn_sigma_rad = float(np.sqrt(np.diag(floor_variances(frame.prior_covariance))[:3].max()))
-        prior = _prior_after_alignment(frame, start, camera, options)
+        prior = _prior_after_alignment(frame, alignment, camera, options)
         first = self._mixture(visible, corners_px, camera, prior)
         if options.search.hypotheses == "prior":
             hypotheses = best_hypotheses(first, start, turn_sigma_rad, corners_px, camera, options.search)
@@ -217,19 +217,21 @@ class ConsensusRecognizer:
         return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
 
 
-def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options: ConsensusOptions) -> PosePrior:
+def _prior_after_alignment(frame: Frame, aligned: Alignment, camera: Camera, options: ConsensusOptions) -> PosePrior:
     """Update the prior with the aligned translation across the line of sight.
 
     The aligned translation is a measurement of x and y with the standard deviation ``alignment_sigma_px``; along the
     boresight and in attitude there is only the prior.
     """
     prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
-    # Pixels to metres across the line of sight, at the distance of the body.
-    sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
+    # Pixels to metres across the line of sight, at the distance of the body, or of its ground where that is near.
+    shifted_m = aligned.T_cam_body.translation_m
+    depth_m = aligned.depth_share * float(np.linalg.norm(shifted_m))
+    sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * depth_m
     measured = np.zeros((6, 6))
     measured[3, 3] = measured[4, 4] = sigma_m**-2
     information = prior_information + measured
-    offset = np.concatenate([np.zeros(3), aligned.translation_m - frame.prior_T_cam_body.translation_m])
+    offset = np.concatenate([np.zeros(3), shifted_m - frame.prior_T_cam_body.translation_m])
     # Product of two Gaussians: (P^-1 + H) mean = H z, from the mean of the prior.
     shift = np.linalg.solve(information, measured @ offset)
     mean = frame.prior_T_cam_body.perturbed(shift[:3], shift[3:])
