@@ -139,13 +139,17 @@ def test_every_campaign_of_the_catalogue_is_sound(name):
 
 
 def with_few_facets(scenario):
-    """Return a scenario whose detailed body is quick to build."""
-    body = scenario.spec.body
-    if body is None or body.detail is None:
-        return scenario
-    detail = body.detail.model_copy(update={"facets": 20_000})
-    spec = scenario.spec.model_copy(update={"body": body.model_copy(update={"detail": detail})})
-    return replace(scenario, spec=spec)
+    """Return a scenario whose detailed bodies, the true one and the one on board, are quick to build."""
+    few = {"facets": 20_000, "site": None, "boulders": None}
+
+    def quick(body):
+        if body is None or body.detail is None:
+            return body
+        return body.model_copy(update={"detail": body.detail.model_copy(update=few)})
+
+    spec = scenario.spec
+    onboard = spec.onboard.model_copy(update={"body": quick(spec.onboard.body)})
+    return replace(scenario, spec=spec.model_copy(update={"body": quick(spec.body), "onboard": onboard}))
 
 
 @pytest.mark.long
