@@ -115,7 +115,8 @@ def align_translation(
             target_px = rendered_px + depth_share * (observed_px - rendered_px)
         T_cam_body = translation_update(T_cam_body, target_px, rendered_px, view.camera)
         # Section 3.2.2: the centroid of the rendering varies by less than five pixels from one iteration to the next.
-        if len(steps) > 1 and _moved_px(rendered_px - steps[-2].rendered_px, depth_share) < options.tolerance_px:
+        # Near ground moves by more pixels than the origin that is compared.
+        if len(steps) > 1 and np.linalg.norm(rendered_px - steps[-2].rendered_px) < options.tolerance_px * depth_share:
             break
     return Alignment(T_cam_body, tuple(steps), depth_share=depth_share)
 
@@ -126,11 +127,6 @@ def _depth_share(rendered: Image, T_cam_body: Pose, view: MeshView) -> float:
     signal = extract_signal(view.render(T_cam_body.perturbed(np.zeros(3), np.array([step_m, 0.0, 0.0]))), KNOWN_SKY)
     moved_px = 0.0 if signal.empty else float(_shift_of_overlap(signal.image, rendered)[0])
     return _PROBE_PX / moved_px if moved_px > _NEAR_TIMES * _PROBE_PX else 1.0
-
-
-def _moved_px(origin_px: FloatArray, depth_share: float) -> float:
-    """Return the shift of the ground, px, from that of the body's origin (2,)."""
-    return float(np.linalg.norm(origin_px)) / depth_share
 
 
 def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: FloatArray, camera: Camera) -> Pose:
