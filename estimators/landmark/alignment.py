@@ -40,7 +40,7 @@ class AlignmentOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshView:
-    """A rendered shape with its camera, the direction of the Sun in camera axes, and the share of `Alignment`."""
+    """A rendered shape with its camera, the direction of the Sun in camera axes, and `Alignment.depth_share`."""
 
     camera: Camera
     renderer: ImageRenderer
@@ -124,8 +124,9 @@ def align_translation(
 def _depth_share(rendered: Image, T_cam_body: Pose, view: MeshView) -> float:
     """Return the share of `Alignment`, by how far the ``rendered`` signal (H, W) moves if the body is shifted."""
     step_m = _PROBE_PX * view.camera.pixel_angle_rad * float(np.linalg.norm(T_cam_body.translation_m))
-    signal = extract_signal(view.render(T_cam_body.perturbed(np.zeros(3), np.array([step_m, 0.0, 0.0]))), KNOWN_SKY)
-    moved_px = 0.0 if signal.empty else float(_shift_of_overlap(signal.image, rendered)[0])
+    signal = extract_signal(view.render(T_cam_body.perturbed(np.zeros(3), np.array([step_m, step_m, 0.0]))), KNOWN_SKY)
+    # The lesser of both axes: along a smooth limb a shift is found poorly.
+    moved_px = 0.0 if signal.empty else float(_shift_of_overlap(signal.image, rendered).min())
     return _PROBE_PX / moved_px if moved_px > _NEAR_TIMES * _PROBE_PX else 1.0
 
 
