@@ -52,7 +52,8 @@ def heard(spec: ScenarioSpec) -> frozenset[str]:
     """Keys of ``onboard`` that apply to the trials of a scenario."""
     shape = LENT_SHAPE if spec.crater_pairs is not None else frozenset()
     keys = frozenset(WRONG) if spec.viewpoint is not None or spec.images is not None else shape
-    return keys if spec.body.detail is not None else keys - OF_DETAIL
+    keys = keys if spec.body.detail is not None else keys - OF_DETAIL
+    return keys if spec.onboard.body is None else keys - (LENT_SHAPE | OF_DETAIL) | {"body"}
 
 
 def standing(known: Known, name: str) -> str:
