@@ -15,7 +15,6 @@ from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, cross
 from boresight.scenarios.spec.distribution import Choice, Uniform, constant, drawn
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.stars import StarsSpec
-from boresight.scenarios.spec.vectors import Vector3
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
@@ -328,20 +327,29 @@ def degrade(
     With ``position_body_m`` or ``position_rtn_m`` the camera's position has that error, whatever the attitude's is; the
     latter needs the camera's velocity (3,), in body axes. `prior_covariance` is the second moment of the same laws.
     """
+    position, rotation_rad = draw_pose_error(spec, rng)
+    if spec.pose_cam_deg_m is not None:
+        return T_cam_body.perturbed(rotation_rad, position)
+    if (unit_m := _unit_m(spec, T_cam_body, camera)) is not None:
+        return T_cam_body.perturbed(rotation_rad, position * unit_m)
+    position_m = T_cam_body.camera_position_m
+    axes = _axes(spec, position_m, velocity_m_s)
+    position_m = position_m + (position if axes is None else axes @ position)
+    turned = T_cam_body.perturbed(rotation_rad, np.zeros(3)).rotation
+    return Pose(turned, -turned @ position_m)
+
+
+def draw_pose_error(spec: PoseErrorSpec, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Draw the values of a pose error: (3,) of its law of the position, in that law's unit, and a rotation vector, rad.
+
+    The vector (3,) is in camera axes.
+    """
     if spec.pose_cam_deg_m is not None:
         joint = spec.pose_cam_deg_m.draw(rng)
-        return T_cam_body.perturbed(np.radians(joint[:3]), joint[3:])
-    position_m = T_cam_body.camera_position_m
-    of_camera = _of_camera(spec, position_m, velocity_m_s)
-    if of_camera is not None:
-        law, axes = of_camera
-        position_m = position_m + (law.draw(rng) if axes is None else axes @ law.draw(rng))
-        turned = T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), np.zeros(3)).rotation
-        return Pose(turned, -turned @ position_m)
+        return joint[3:], np.radians(joint[:3])
     # Drawn before the attitude: the order belongs to the stream.
-    law, unit_m = _shift(spec, T_cam_body, camera)
-    shift_m = law.draw(rng) * unit_m
-    return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
+    position = spec.position[1].draw(rng)
+    return position, _rotation_vector(spec.attitude, rng)
 
 
 def prior_covariance(
@@ -358,41 +366,33 @@ def prior_covariance(
         return spec.pose_cam_deg_m.second_moment * np.outer(units, units)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = spec.attitude.second_moment_rad2
-    of_camera = _of_camera(spec, prior.camera_position_m, velocity_m_s)
-    if of_camera is None:
-        law, unit_m = _shift(spec, prior, camera)
-        covariance[3:, 3:] = law.second_moment * unit_m**2
+    moment = spec.position[1].second_moment
+    if (unit_m := _unit_m(spec, prior, camera)) is not None:
+        covariance[3:, 3:] = moment * unit_m**2
         return covariance
     # T = -R c: an error e of the camera's position c and a turn w of the attitude change T by w x T - R e.
-    law, axes = of_camera
-    covariance[3:, 3:] = law.second_moment if axes is None else axes @ law.second_moment @ axes.T
+    axes = _axes(spec, prior.camera_position_m, velocity_m_s)
+    covariance[3:, 3:] = moment if axes is None else axes @ moment @ axes.T
     by_error = np.block([[np.eye(3), np.zeros((3, 3))], [-cross_matrix(prior.translation_m), -prior.rotation]])
     moved = by_error @ covariance @ by_error.T
     return np.asarray(0.5 * (moved + moved.T), dtype=np.float64)
 
 
-def _of_camera(
-    spec: PoseErrorSpec, position_m: FloatArray, velocity_m_s: FloatArray | None
-) -> tuple[Vector3, FloatArray | None] | None:
-    """Return the law of the camera's position and its axes, None for those of the body; None if it has no such law."""
-    if spec.position_body_m is not None:
-        return spec.position_body_m, None
+def _unit_m(spec: PoseErrorSpec, pose: Pose, camera: Camera) -> float | None:
+    """Return the metres of a unit of the shift in camera axes; None if the error is of the camera's position."""
+    key, _ = spec.position
+    if key == "position_cam_px":
+        return float(np.linalg.norm(pose.translation_m)) * camera.pixel_angle_rad
+    return 1.0 if key == "position_cam_m" else None
+
+
+def _axes(spec: PoseErrorSpec, position_m: FloatArray, velocity_m_s: FloatArray | None) -> FloatArray | None:
+    """Return the axes (3, 3) in the body's that the error of the camera's position is in; None for those themselves."""
     if spec.position_rtn_m is None:
         return None
     if velocity_m_s is None:
         raise BoresightError("pose_error.position_rtn_m: needs a trajectory whose table has velocities")
-    return spec.position_rtn_m, rtn_axes(position_m, velocity_m_s)
-
-
-def _shift(spec: PoseErrorSpec, pose: Pose, camera: Camera) -> tuple[Vector3, float]:
-    """Return the distribution of the shift in camera axes, and the metres of one of its units."""
-    if spec.position_cam_m is not None:
-        return spec.position_cam_m, 1.0
-    if spec.position_cam_px is not None:
-        return spec.position_cam_px, float(np.linalg.norm(pose.translation_m)) * camera.pixel_angle_rad
-    raise BoresightError(
-        "pose_error: give position_cam_m, position_cam_px, position_body_m, position_rtn_m or pose_cam_deg_m"
-    )
+    return rtn_axes(position_m, velocity_m_s)
 
 
 def _rotation_vector(spec: AttitudeErrorSpec, rng: np.random.Generator) -> FloatArray:

@@ -1,4 +1,4 @@
-"""``compare``, ``board`` and ``sensitivity``: comparisons of runs, lists of runs, and keys that errors depend on."""
+"""``compare``, ``rare``, ``board`` and ``sensitivity``: comparisons of runs, rare misses, and keys that count."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from boresight.reports.compare import compare_runs
 from boresight.reports.compare.global_sensitivity import sensitivity_grid
 from boresight.reports.compare.tables import counted_tests, equal_pairs, limits, pooled_lines
 from boresight.reports.compare.trials import choose_metric
+from boresight.reports.kinds.rare import rare_grid
 from boresight.reports.pages.build import write_board
 from boresight.reports.pages.comparison import write_comparison, write_sensitivity
 from boresight.reports.pages.rich_tables import rich_parts
-from boresight.reports.run.data import read_run
+from boresight.reports.run.data import StoredRequirement, read_run
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.records import CONTROLS
 from boresight.reports.schema.tables import kind_schema
+from boresight.reports.statistics.requirements import read_requirement
 from boresight.scenarios.errors import BoresightError, display
+from boresight.scenarios.load import load_scenario
 
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 """Columns that the files have and the terminal has no room for."""
@@ -56,6 +59,23 @@ def compare_command(arguments: argparse.Namespace) -> int:
     for line in filter(None, (pooled_lines(found), equal_pairs(found), counted_tests(found))):
         printer.print(line)
     printer.print(f"comparison: {page}")
+    return 0
+
+
+def rare_command(arguments: argparse.Namespace) -> int:
+    """Print how often requirements are missed by a narrower law of the pose errors than that of the run."""
+    run = read_run(find_run(arguments.run).path)
+    if arguments.that is not None:
+        asked = StoredRequirement(that=read_requirement(arguments.that, run.manifest.experiment).written)
+        run = replace(run, manifest=run.manifest.model_copy(update={"requirements": (asked,)}))
+    elif not run.manifest.requirements:
+        raise BoresightError(f"{arguments.run}: has no requirement: give one, as 'success in 99.99 % at 90 %'")
+    law = None if arguments.law is None else load_scenario(arguments.law).spec.pose_error
+    wanted = {name: law or spec.onboard.pose_error for name, spec in (run.specs or {}).items()}
+    if told := [name for name, one in wanted.items() if one is None]:
+        raise BoresightError(f"{told[0]}: no onboard.pose_error: name with --law a scenario that has the wanted errors")
+    grid = rare_grid(run, {name: one for name, one in wanted.items() if one is not None})
+    console().print(*rich_parts(grid), grid.note)
     return 0
 
 

@@ -174,6 +174,13 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--unpaired", "compare runs of other seeds or views too", _FLAG),
         _a("--out", f"folder of the comparison (default: {COMPARISONS}/RUN-...)", _FILE),
     ),
+    "rare": ("compare:rare_command", "tell the rate of rare misses from trials with larger pose errors",
+        _RUN,
+        _a("that", "a requirement, as 'success in 99.99 %% at 90 %%' (default: those of the campaign)", nargs="?",
+           metavar="REQUIREMENT"),
+        _a("--law", "scenario, or its file, whose pose_error trials are weighted to (default: onboard.pose_error of"
+           " those of the run)", metavar="SCENARIO"),
+    ),
     "sensitivity": ("compare:sensitivity_command",
         "vary keys of a campaign's scenario together, and tell what matters",
         _a("name", "a campaign, or a YAML file"),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.estimators.contract import ImageRenderer
 from boresight.estimators.landmark.signal import background_level, unusable
@@ -20,6 +21,7 @@ _STAR_PX = 7  # side of a group that may be a star
 # Of the area of the body's group: what is smaller and touches the border of the image is a cosmic ray, not the body.
 _SPECK_SHARE = 0.005
 _SKY_ROWS = 128
+_SKY_BLOCKS = 16  # on the shorter side of an image
 BODY_SHARE = 0.2
 """Of the bright level of a body: dust before the sky of 67P has up to a tenth."""
 # Of the predicted lit area: errors of the shape, and shadows of relief, which only darken.
@@ -101,7 +103,11 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
         return fault
     image = frame.image
     # Of some rows: that of all takes longer than the rest of a method.
-    level, noise = background_level(image[:: max(1, image.shape[0] // _SKY_ROWS)])
+    every = max(1, image.shape[0] // _SKY_ROWS)
+    level, noise = background_level(image[::every])
+    if (slope := sky_slope(image, noise)) is not None:
+        image = image - slope
+        level, noise = background_level(image[::every])
     lit = image > np.float32(level + _SIGMAS * noise)
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     if not len(rows):
@@ -148,6 +154,37 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
     if not cut and (found_px := np.count_nonzero(lit)) < (least_px := _LEAST_LIT / scale * lit_px):
         return f"what is lit covers {found_px} px, but the body at least {least_px:.0f} px: it is another one"
     return body
+
+
+def sky_slope(image: NDArray[np.float32], noise: float) -> NDArray[np.float32] | None:
+    """Return the plane (H, W) of a sky that grows brighter across an image (H, W), as by stray light; None if none does.
+
+    Light of the body only adds. So the plane is fitted to the medians of blocks of the image, and those above it by
+    more than the noise of a pixel, ``noise``, are left out until none is. The slope counts if the rest is an eighth of
+    all blocks, as wide and as high as half the frame, and if it is steeper than five standard deviations and than the
+    noise over the frame.
+    """
+    height, width = image.shape
+    side = max(4, min(height, width) // _SKY_BLOCKS)
+    rows, columns = height // side, width // side
+    some = image[: rows * side, : columns * side].reshape(rows, side, columns, side)[:, :: max(1, side // 8)]
+    medians = np.median(some.transpose(0, 2, 1, 3).reshape(rows * columns, -1), axis=1).astype(np.float64)
+    down, across = (part.ravel() / of for part, of in zip(np.indices((rows, columns)), (rows, columns), strict=True))
+    plane = np.column_stack([across, down, np.ones(len(medians))])
+    kept, before = np.ones(len(medians), dtype=bool), None
+    while before is None or not np.array_equal(kept, before):
+        if kept.sum() < len(medians) // 8:
+            return None
+        before = kept
+        fit = np.linalg.lstsq(plane[kept], medians[kept], rcond=None)[0]
+        kept = kept & (medians - plane @ fit <= noise)
+    fall, apart = fit[:2], medians[kept] - plane[kept] @ fit
+    centred = plane[kept, :2] - plane[kept, :2].mean(axis=0)
+    certain = fall @ (centred.T @ centred) @ fall > _SIGMAS**2 * apart.var()
+    if noise == 0.0 or not certain or np.abs(fall).sum() < noise or np.ptp(plane[kept, :2], axis=0).min() < 0.5:
+        return None
+    x, y = (np.arange(size, dtype=np.float32) / np.float32(size) for size in (width, height))
+    return np.asarray(np.float32(fall[0]) * x + np.float32(fall[1]) * y[:, None], dtype=np.float32)
 
 
 def of_one_body(labels: IndexArray, boxes: IndexArray, areas: IndexArray, diameter_px: float) -> BoolArray:

@@ -55,6 +55,10 @@ class Requirement:
         """Probability that is allowed of passing what is not met, and of failing what is."""
         return 1.0 - self.confidence
 
+    def missed(self, values: FloatArray) -> BoolArray:
+        """(n,) whether trials miss it, by their measure (n,), infinite for a failure; of a yes or no 0 for yes."""
+        return np.asarray(~(values < (0.5 if self.limit is None else self.limit)))
+
     def in_words(self) -> str:
         """Write it as a clause, its measure by its label and with its unit."""
         known = measure_of(self.measure)
@@ -139,21 +143,17 @@ def judge(
     worst trial and fails by its best. ``turns`` is the number of data bases that trials have in turn: their chances of
     a miss differ, and a look is valid after each had as many trials.
     """
-    missed = _missed(requirement, values)
+    missed = requirement.missed(values)
     verdict, risk = _tested(requirement, missed, looked, turns)
     if (
         verdict == FAIL
         and best is not None
-        and _tested(requirement, _missed(requirement, best), looked, turns)[0] != FAIL
+        and _tested(requirement, requirement.missed(best), looked, turns)[0] != FAIL
     ):
         verdict = UNDECIDED
     reached = None if requirement.limit is None else _reached(requirement, values, looked, turns)
     further = {PASS: 0, FAIL: None}.get(verdict, _further(requirement, missed, looked=looked))
     return Verdict(verdict, len(values), int(missed.sum()), reached, risk, further)
-
-
-def _missed(requirement: Requirement, values: FloatArray) -> BoolArray:
-    return np.asarray(~(values < (0.5 if requirement.limit is None else requirement.limit)))
 
 
 def _tested(requirement: Requirement, missed: BoolArray, looked: bool, turns: int) -> tuple[str, float]:

@@ -61,7 +61,7 @@ class _NormalVector(Law3):
 
     @property
     @abstractmethod
-    def _covariance(self) -> FloatArray:
+    def covariance_matrix(self) -> FloatArray:
         """(n, n) covariance."""
 
     @abstractmethod
@@ -79,7 +79,7 @@ class _NormalVector(Law3):
     @property
     def second_moment(self) -> FloatArray:
         """(n, n) covariance plus the outer product of the mean with itself."""
-        return self._covariance if self.mean is None else self._covariance + np.outer(self.mean, self.mean)
+        return self.covariance_matrix if self.mean is None else self.covariance_matrix + np.outer(self.mean, self.mean)
 
 
 class Normal3(_NormalVector):
@@ -89,7 +89,7 @@ class Normal3(_NormalVector):
     mean: Row3 | None = optional("Mean; zero if left out")
 
     @property
-    def _covariance(self) -> FloatArray:
+    def covariance_matrix(self) -> FloatArray:
         return np.diag(np.square(np.array(self.normal, dtype=np.float64)))
 
     def _deviation(self, rng: np.random.Generator) -> FloatArray:
@@ -139,7 +139,7 @@ class _Correlated(_NormalVector):
         check_semidefinite("covariance", np.array(self.covariance, dtype=np.float64))
 
     @property
-    def _covariance(self) -> FloatArray:
+    def covariance_matrix(self) -> FloatArray:
         matrix = np.array(self.covariance, dtype=np.float64)
         return 0.5 * (matrix + matrix.T)
 
@@ -220,18 +220,19 @@ class Mixture3(Law3):
     mixture: tuple[Component3, ...] = Field(min_length=2, max_length=100, description="The distributions")
 
     @property
-    def _shares(self) -> FloatArray:
+    def shares(self) -> FloatArray:
+        """Probability (n,) of each distribution."""
         weights = np.array([one.weight for one in self.mixture])
         return np.asarray(weights / weights.sum(), dtype=np.float64)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
         """Draw a distribution, then a vector of it."""
-        return self.mixture[int(rng.choice(len(self.mixture), p=self._shares))].law.draw(rng)
+        return self.mixture[int(rng.choice(len(self.mixture), p=self.shares))].law.draw(rng)
 
     @property
     def second_moment(self) -> FloatArray:
         """(3, 3) weighted mean of those of the distributions."""
-        moments = [share * one.law.second_moment for share, one in zip(self._shares, self.mixture, strict=True)]
+        moments = [share * one.law.second_moment for share, one in zip(self.shares, self.mixture, strict=True)]
         return np.asarray(np.sum(moments, axis=0), dtype=np.float64)
 
 

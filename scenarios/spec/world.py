@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, optional, rule
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar, Scalar, Uniform
@@ -218,6 +219,15 @@ class PoseErrorSpec(WithDefaultAlternative):
     attitude: AttitudeErrorSpec = Field(
         PAPER_ATTITUDE_ERROR, description="Error of the attitude, independent of the position's"
     )
+
+    @property
+    def position(self) -> tuple[str, Vector3]:
+        """The key of the position's own law, and the law; raise BoresightError if there is none."""
+        keys = self.alternatives[0][:-1]
+        for key in keys:
+            if (law := getattr(self, key)) is not None:
+                return key, law
+        raise BoresightError(f"pose_error: give {', '.join(keys)} or pose_cam_deg_m")
 
 
 PAPER_POSE_ERROR = PoseErrorSpec(
