@@ -85,7 +85,8 @@ class LitBody:
 def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, blur_px: float) -> LitBody | str:
     """Find the lit body in an image, or return the reason why there is none.
 
-    It is the group of neighbouring pixels, three at least, brighter than five standard deviations of the sky and than a
+    A sky that grows brighter across the frame is made even before, see `sky_slope`. The body is the group of
+    neighbouring pixels, three at least, brighter than five standard deviations of the sky and than a
     fiftieth of the image's bright level, whose area is nearest by ratio to the predicted one: ``lit_px`` grown all
     around by half a pixel and by two standard deviations ``blur_px`` of the point spread, where an edge falls to a
     fiftieth. All such groups within ``diameter_px`` of its middle that are not larger belong to it: shadows divide a
@@ -157,7 +158,7 @@ def find_body(frame: Frame, camera: Camera, diameter_px: float, lit_px: float, b
 
 
 def sky_slope(image: NDArray[np.float32], noise: float) -> NDArray[np.float32] | None:
-    """Return the plane (H, W) of a sky that grows brighter across an image (H, W), as by stray light; None if none does.
+    """Return the plane (H, W) of a sky that is not even over an image (H, W), as by stray light; None if it is.
 
     Light of the body only adds. So the plane is fitted to the medians of blocks of the image, and those above it by
     more than the noise of a pixel, ``noise``, are left out until none is. The slope counts if the rest is an eighth of

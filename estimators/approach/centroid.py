@@ -50,7 +50,7 @@ class CentroidEstimator:
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 9
+    version: ClassVar[int] = 10
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 

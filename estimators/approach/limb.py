@@ -130,7 +130,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 8
+    version: ClassVar[int] = 9
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 

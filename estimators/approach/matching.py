@@ -43,7 +43,7 @@ class SilhouetteEstimator:
     """
 
     name: ClassVar[str] = "silhouette"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 

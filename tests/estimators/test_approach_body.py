@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_approach_estimators import CAMERA, observed
 
-from boresight.estimators.approach.body import LitBody, find_body, lit_area_px, of_one_body
+from boresight.estimators.approach.body import LitBody, find_body, lit_area_px, of_one_body, sky_slope
 from boresight.scenarios.bodies.embedded import icosphere
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.observation import Frame
@@ -160,3 +160,39 @@ def test_many_groups_take_no_longer_than_their_pixels():
     of_one_body(labels.view(Counted), stats[:, :4], areas, 1000.0)
     assert len(looked) == len(stats) - 1 > 300
     assert sum(looked) == areas.sum()
+
+
+def lit_ground(width_px: float, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """An image of a ball so wide in a sky with noise of 5, and a plane that falls by 200 across it."""
+    rows, columns = np.mgrid[: CAMERA.height_px, : CAMERA.width_px].astype(np.float32)
+    ball = np.clip(1.0 - ((columns - 80) ** 2 + (rows - 62) ** 2) / (0.5 * width_px) ** 2, 0.0, None) ** 0.5
+    noise = np.random.default_rng(seed).normal(0.0, 5.0, rows.shape)
+    plane = 150.0 * columns / CAMERA.width_px - 50.0 * rows / CAMERA.height_px
+    return (40.0 + 900.0 * ball + noise).astype(np.float32), plane.astype(np.float32)
+
+
+@pytest.mark.parametrize("width_px", [12.0, 60.0, 110.0])
+def test_a_sky_that_falls_across_the_frame_is_made_even(width_px):
+    """Its brighter side, a fifth of the body's light, was taken for a body that the frame cuts."""
+    image, plane = lit_ground(width_px)
+    slope = sky_slope(image + plane, 5.0)
+    apart = slope - plane
+    assert np.ptp(apart) < 4.0
+    even, falling = (found_in(one, width_px) for one in (image, image + plane))
+    assert not falling.cut
+    assert abs(np.count_nonzero(falling.lit) - np.count_nonzero(even.lit)) < 0.04 * np.count_nonzero(even.lit)
+    assert falling.noise == pytest.approx(5.0, rel=0.2)
+
+
+def test_an_even_sky_is_left_as_it_is():
+    for seed in range(20):
+        assert sky_slope(lit_ground(60.0, seed)[0], 5.0) is None
+
+
+def test_ground_without_sky_has_no_slope():
+    """The ground grows brighter across the frame; sky in one corner tells nothing of the others."""
+    rng = np.random.default_rng(5)
+    ground = np.linspace(300.0, 900.0, 160) + rng.normal(0.0, 60.0, (128, 160))
+    ground[:25, :30] = rng.normal(40.0, 5.0, (25, 30))
+    assert sky_slope(ground.astype(np.float32), 5.0) is None
+    assert sky_slope(ground.astype(np.float32), 0.0) is None
