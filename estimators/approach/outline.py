@@ -1,4 +1,4 @@
-"""The outline of a shape in an image: its outermost points on rays from a centre."""
+"""The outline of a shape in an image, its outermost points on rays from a centre, and the light inside it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.compiled import compiler
-from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 
 kernel, inner = compiler(Path(__file__).parent)
 
 _TANGENT_PX = 2.0
+_CELLS = 128  # on a side of the grid of `nearest_facets`
 
 
 class ShapeOutline:
@@ -26,8 +27,8 @@ class ShapeOutline:
         order = np.argsort(key, kind="stable")
         pairs = np.flatnonzero(key[order][:-1] == key[order][1:])
         self._edges = np.column_stack([ends[order[pairs]], order[pairs] // 3, order[pairs + 1] // 3])
-        self._vertices_m, self._corner = np.array(mesh.vertices_m), faces[:, 0].copy()
-        self._area_vectors_m2 = np.array(mesh.area_vectors_m2)
+        self._vertices_m, self._faces, self._corner = np.array(mesh.vertices_m), faces, faces[:, 0].copy()
+        self._area_vectors_m2, self._normals = np.array(mesh.area_vectors_m2), mesh.normals
 
     def silhouette(self, T_cam_body: Pose) -> IndexArray:
         """Return the vertices (k, 2) of the edges between a facet that is seen from the front and another."""
@@ -47,6 +48,22 @@ class ShapeOutline:
         pose = np.column_stack([T_cam_body.rotation, T_cam_body.translation_m])
         return outermost(self._vertices_m, edges, pose, pinhole, rays)
 
+    def light(self, view: View, uv_px: FloatArray) -> FloatArray:
+        """Return the light (..., 2) of facets at pixels (..., 2): by Lambert's law, and by Lommel and Seeliger's.
+
+        With the cosines i of incidence and e of emission a facet is i and i / (i + e) bright. It is 0 off the shape and
+        with the Sun behind the facet; facets cast no shadow on others.
+        """
+        camera, pose = view.camera, view.T_cam_body
+        points_m = pose.transform(self._vertices_m)
+        with np.errstate(divide="ignore"):
+            image = np.vstack([camera.project(points_m).T, 1.0 / points_m[:, 2]])
+        facet = nearest_facets(image, self._faces, uv_px.reshape(-1, 2)).reshape(uv_px.shape[:-1])
+        normals = self._normals[facet]
+        incident = np.where(facet < 0, 0.0, np.maximum(normals @ view.sun_dir_body, 0.0))
+        emitted = -np.einsum("...i,...i->...", normals, camera.unproject(uv_px) @ pose.rotation)
+        return np.stack([incident, incident / np.maximum(incident + emitted, 1e-9)], axis=-1)
+
 
 @kernel
 def silhouette(
@@ -63,6 +80,46 @@ def silhouette(
             found[count, 0], found[count, 1] = edges[edge, 0], edges[edge, 1]
             count += 1
     return found[:count]
+
+
+@kernel
+def nearest_facets(image: FloatArray, faces: IndexArray, uv_px: FloatArray) -> IndexArray:
+    """Return the facet (n,) that is nearest to the camera at each pixel (n, 2); -1 where there is none.
+
+    ``image`` (3, V) are the columns and rows of the vertices of ``faces`` (F, 3), px, and their inverse depths, which
+    are linear in the image. Facets with a vertex behind the camera, or that are seen from behind, are left out.
+    """
+    found, nearest = np.full(len(uv_px), -1), np.zeros(len(uv_px))
+    # Of the points in each cell of a grid the first, and the next after each.
+    first, after = np.full((_CELLS, _CELLS), -1), np.empty(len(uv_px), dtype=np.int64)
+    left, top = uv_px[:, 0].min(), uv_px[:, 1].min()
+    per_px = (_CELLS - 1) / max(uv_px[:, 0].max() - left, uv_px[:, 1].max() - top, 1e-9)
+    for point in range(len(uv_px)):
+        i, j = int((uv_px[point, 0] - left) * per_px), int((uv_px[point, 1] - top) * per_px)
+        after[point], first[i, j] = first[i, j], point
+    for facet in range(len(faces)):
+        a, b, c = faces[facet]
+        ua, va, wa = image[0, a], image[1, a], image[2, a]
+        ub, vb, wb = image[0, b] - ua, image[1, b] - va, image[2, b]
+        uc, vc, wc = image[0, c] - ua, image[1, c] - va, image[2, c]
+        area = ub * vc - vb * uc
+        # Rows count downwards, so that facets are clockwise from the front.
+        if not (area < 0.0 and min(wa, wb, wc) > 0.0):
+            continue
+        x, y = (ua - left) * per_px, (va - top) * per_px
+        columns = range(max(int(x + min(0.0, ub, uc) * per_px), 0), min(int(x + max(0.0, ub, uc) * per_px) + 1, _CELLS))
+        rows = range(max(int(y + min(0.0, vb, vc) * per_px), 0), min(int(y + max(0.0, vb, vc) * per_px) + 1, _CELLS))
+        for i in columns:
+            for j in rows:
+                point = first[i, j]
+                while point >= 0:
+                    u, v = uv_px[point, 0] - ua, uv_px[point, 1] - va
+                    of_b, of_c = (u * vc - v * uc) / area, (ub * v - vb * u) / area
+                    inverse = wa + of_b * (wb - wa) + of_c * (wc - wa)
+                    if of_b >= 0.0 and of_c >= 0.0 and of_b + of_c <= 1.0 and inverse > nearest[point]:
+                        found[point], nearest[point] = facet, inverse
+                    point = after[point]
+    return found
 
 
 @kernel

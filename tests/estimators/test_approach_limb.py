@@ -13,10 +13,12 @@ from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.limb import limb_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
 from boresight.estimators.approach.profile import ACROSS_PX, fit_limb, sampled
-from boresight.scenarios.bodies.embedded import icosphere
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.bodies.embedded import EMBEDDED, icosphere
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Ellipses, View, look_at
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, View, look_at
 from boresight.scenarios.observation import Frame
+from boresight.scenarios.spec.brdf import LambertSpec
 
 
 def test_the_outline_of_an_ellipsoid_is_its_dual_conic():
@@ -69,6 +71,43 @@ def test_the_profile_finds_the_limb(phase_deg, radius_px, flat):
     assert np.abs(place).max() < 0.1
     assert abs(place.mean()) < 0.03
     assert (level > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["contact-binary", "itokawa-like"])
+def test_the_light_inside_the_outline_is_that_of_a_ray_tracer(name):
+    """Facets by Mitsuba at the same pixels; the bodies hide parts of themselves, and the Sun is off to the side."""
+    body, sun = EMBEDDED[name](), np.array([0.8, 0.0, -0.6])
+    camera, depths_px = Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0), np.arange(0.1, 8.0, 0.2)
+    pose = look_at(body.radius_m * np.array([18.0, 9.0, 6.0]), 1.0)
+    view, centre, rays = (
+        View(camera, pose, pose.rotation.T @ sun),
+        camera.project(pose.translation_m),
+        ray_directions(90),
+    )
+    outline = ShapeOutline(body)
+    radius, _ = outline.at(pose, camera, centre, rays)
+    edge = centre + radius[:, None] * rays
+    uv = edge[:, None] - depths_px[:, None] * outline_normals(radius, rays)[:, None]
+    tracer = MitsubaRenderer(body, LambertSpec(), 1, variant=choose_variant())
+    hits = tracer.surface(view, uv.reshape(-1, 2))
+    sight = pose.camera_position_m - hits.points_body_m
+    emitted = np.einsum("ni,ni->n", hits.normals_body, sight) / np.linalg.norm(sight, axis=1)
+    incident = np.maximum(hits.normals_body @ view.sun_dir_body, 0.0)
+    stated = np.nan_to_num(np.column_stack([incident, incident / (incident + emitted)])).reshape(*uv.shape[:2], 2)
+    same = np.isclose(outline.light(view, uv), stated, atol=1e-5).all(axis=-1)
+    assert same.mean() > 0.999  # places on the edges of facets may be in either
+    assert 0.3 < (stated[..., 0] > 0.0).mean() < 0.95
+    away = edge + 3.0 * outline_normals(radius, rays)
+    assert (outline.light(view, away) == 0.0).mean() > 0.9
+
+
+def test_facets_beside_and_behind_the_camera_have_no_light():
+    """A ball about the camera, and one whose pixels are off the frame."""
+    ball, camera = icosphere(2, 10.0), Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0)
+    outline, uv = ShapeOutline(ball), np.array([[[80.0, 64.0], [10.0, 5.0]]])
+    for place in ([0.0, 0.0, 0.0], [0.0, 0.0, -100.0], [100.0, 0.0, 100.0]):
+        view = View(camera, Pose(np.eye(3), np.array(place)), np.array([0.0, 0.0, -1.0]))
+        assert not outline.light(view, uv).any()
 
 
 @pytest.mark.parametrize("half_deg", [40.0, 90.0, 180.0])
