@@ -1,4 +1,4 @@
-"""The profile of brightness across a lit limb, and the limb's sub-pixel place by fitting it."""
+"""Profiles of brightness across a lit limb, and its sub-pixel place by fitting the light of the shape to them."""
 
 from __future__ import annotations
 
@@ -22,6 +22,10 @@ _DAMPING = 1e-9
 _MOST_GAIN = 1e3
 ACROSS_PX = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
 """Places of a profile's samples, px along the outward normal."""
+# px outside the limb, at the middles of steps, so that the limb is between two.
+_FINE = np.arange(-2.0 * _REACH_PX + 0.5 * _FINE_PX, 2.0 * _REACH_PX, _FINE_PX)
+DEPTHS_PX = -_FINE[_FINE < 0.0]
+"""Places of the light that is seen in profiles, px along the inward normal: as deep as a blur of 1.3 px reaches."""
 
 
 def sampled(patch: Patch, uv_px: FloatArray) -> FloatArray:
@@ -34,38 +38,41 @@ def sampled(patch: Patch, uv_px: FloatArray) -> FloatArray:
     return np.asarray(found, dtype=np.float64).reshape(place.shape[:-1])
 
 
-def fit_limb(
-    samples: FloatArray, towards_sun: FloatArray, start_px: FloatArray, radius_px: float, blur_px: float
-) -> tuple[FloatArray, FloatArray]:
-    """Fit profiles across the limb: places (n,) along the outward normal, px, and brightnesses (n,) a pixel inside.
+def blurred(light: FloatArray, radius_px: float, blur_px: float) -> FloatArray:
+    """Blur light (..., d) at `DEPTHS_PX` to profiles (..., k) for `fit_limb`: by point spread, pixel and interpolation.
 
-    Near its limb a body is a ball of radius rho: at the depth d inside the limb the normal makes the angle psi with
-    that of the limb, cos psi = 1 - d / rho. With the cosines s and t of the Sun to the normal of the limb and to the
-    camera, ``towards_sun`` (n, 2), the terminator is where s cos psi + t sin psi = 0, and a Lambertian ball is as
-    bright as that. Other laws have other shares of the two terms: that of Lommel and Seeliger is a step where Lambert's
-    fades. So both shares are fitted with the place, to profiles blurred by the point spread, the pixel and the
-    interpolation of the samples. Blur also moves the edge of a disc inwards, by sigma^2 / (2 rho), as more of what is
-    around a point of it is outside. In a profile, light at the distance r from the middle of the ball has the weight
-    sqrt(r) for that: the Gaussian in two dimensions, averaged over the angle, for r far above sigma.
-
-    ``samples`` (n, m) are at `ACROSS_PX`, and the fit starts at ``start_px`` (n,).
+    Blur also moves the edge of a disc inwards, by sigma^2 / (2 rho), as more of what is around a point of it is
+    outside. In a profile, light at the distance r from the middle of a disc of radius rho, ``radius_px``, has the
+    weight sqrt(r) for that: the Gaussian in two dimensions, averaged over the angle, for r far above sigma.
     """
-    # px outside the limb, at the middles of steps, so that the limb is between two.
-    fine = np.arange(-2.0 * _REACH_PX + 0.5 * _FINE_PX, 2.0 * _REACH_PX, _FINE_PX)
-    inside = np.minimum(np.maximum(-fine, 0.0) / radius_px, 1.0)
-    cosine = 1.0 - inside
-    sine = np.sqrt(1.0 - cosine**2)
-    s, t = towards_sun[:, :1], towards_sun[:, 1:]
-    lit = (fine < 0.0) & (s * cosine + t * sine > 0.0)
-    spread = np.exp(-0.5 * (fine[:, None] - fine) ** 2 / (blur_px**2 + _PIXEL_PX2 + _CUBIC_PX2))
-    spread *= np.sqrt(np.maximum(radius_px + fine[:, None], _FINE_PX))
+    spread = np.exp(-0.5 * (_FINE[:, None] - _FINE) ** 2 / (blur_px**2 + _PIXEL_PX2 + _CUBIC_PX2))
+    spread *= np.sqrt(np.maximum(radius_px + _FINE[:, None], _FINE_PX))
     spread /= spread.sum(axis=0)
-    terms = (lit * cosine) @ spread, (lit * sine) @ spread
+    return np.asarray(light @ spread[: len(DEPTHS_PX)])
+
+
+def fit_limb(samples: FloatArray, terms: FloatArray, start_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit profiles across the limb: places (n,) along the outward normal, px, and gains (n, 2) of one or two terms.
+
+    ``samples`` (n, m) are at `ACROSS_PX`, ``terms`` (n, 1 or 2, k) those of `blurred`, and the fit starts at
+    ``start_px`` (n,). The gain of a second term that there is not is 0.
+    """
     bright = np.maximum(samples.max(axis=1), 1e-300)
-    place, gain = _fit(samples / bright[:, None], *terms, np.nan_to_num(start_px), float(fine[0]))
-    # At a depth of one pixel.
-    cosine_1 = 1.0 - min(1.0 / radius_px, 1.0)
-    return place, gain @ [cosine_1, np.sqrt(1.0 - cosine_1**2)] * bright
+    first = np.ascontiguousarray(terms[:, 0])
+    second = np.ascontiguousarray(terms[:, 1]) if terms.shape[1] > 1 else np.zeros_like(first)
+    place, gain = _fit(samples / bright[:, None], first, second, np.nan_to_num(start_px), float(_FINE[0]))
+    return place, gain * bright[:, None]
+
+
+def second_law(samples: FloatArray, terms: FloatArray, start_px: FloatArray) -> float:
+    """Return the share, 0 to 1, of the second term in the light of all profiles; arguments as in `fit_limb`.
+
+    A surface has one law of reflectance. In a profile of a narrow strip of light a change of the law is like a shift:
+    with a law for each profile, points are off by 0.1 px where the strip is narrower than 2 px.
+    """
+    place, gain = fit_limb(samples, terms, start_px)
+    first, second = gain[(np.abs(place) < ACROSS_PX[-1] - 1.0) & (gain.sum(axis=1) > 0.0)].sum(axis=0)
+    return float(np.clip(second / max(first + second, 1e-300), 0.0, 1.0))
 
 
 @kernel

@@ -12,7 +12,7 @@ from boresight.estimators.approach.body import Patch
 from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.limb import limb_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
-from boresight.estimators.approach.profile import ACROSS_PX, fit_limb, sampled
+from boresight.estimators.approach.profile import ACROSS_PX, DEPTHS_PX, blurred, fit_limb, sampled, second_law
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.bodies.embedded import EMBEDDED, icosphere
 from boresight.scenarios.errors import BoresightError
@@ -45,32 +45,38 @@ def test_rays_from_outside_meet_the_far_side_or_nothing():
 
 
 @pytest.mark.parametrize(
-    ("phase_deg", "radius_px", "flat"),
-    [
-        (phase, radius, flat)
-        for phase in (5.0, 30.0, 80.0)
-        for radius, flat in ((6.0, False), (30.0, False), (30.0, True))
-    ]
-    + [(120.0, 30.0, False), (120.0, 30.0, True)],
+    ("phase_deg", "radius_px", "law"),
+    [(phase, radius, law) for phase in (5.0, 30.0, 80.0) for radius, law in ((6.0, 0.0), (30.0, 0.0), (30.0, 1.0))]
+    + [(120.0, 30.0, 0.0), (120.0, 30.0, 1.0), (140.0, 12.0, 0.0), (140.0, 12.0, 1.0)],
 )
-def test_the_profile_finds_the_limb(phase_deg, radius_px, flat):
-    """A ball, drawn eight times as fine: lit by Lambert's law, or as bright wherever it is lit."""
+def test_the_profile_finds_the_limb(phase_deg, radius_px, law):
+    """A ball, drawn eight times as fine, by Lambert's law or that of Lommel and Seeliger; its light in closed form."""
     sun = np.array([np.sin(np.radians(phase_deg)), 0.0, -np.cos(np.radians(phase_deg))])
     fine = Camera(100 * 8, 100 * 8, 8e4, 8e4, 50.3 * 8, 49.6 * 8)
     pose = look_at(np.array([0.0, 0.0, -1000.0]))
     ball = Ellipsoid(np.zeros(3), np.eye(3) / (0.1 * radius_px) ** 2)
     image = ball.render(View(fine, pose, pose.rotation.T @ sun)).astype(np.float64)
-    image = (image > 0.0).astype(np.float64) if flat else image
+    rows, columns = np.mgrid[:800, :800] + 0.5
+    from_middle_px = np.hypot(columns / 8 - 50.3, rows / 8 - 49.6)
+    emitted = np.sqrt(np.maximum(1.0 - (from_middle_px / radius_px) ** 2, 0.0))
+    image = image / np.maximum(image + emitted, 1e-12) if law else image
     image = gaussian_filter(cv2.resize(image, (100, 100), interpolation=cv2.INTER_AREA), 0.7)
     angle = np.radians(np.linspace(-50.0, 50.0, 21))
     normals = np.column_stack([np.cos(angle), np.sin(angle)])
     limb = [50.3, 49.6] + radius_px * normals
     samples = sampled(Patch(image, 0, 0), limb[:, None] + ACROSS_PX[:, None] * normals[:, None])
-    towards = np.column_stack([normals @ sun[:2], np.full(21, -sun[2])])
-    place, level = fit_limb(samples, towards, np.full(21, 0.5), radius_px, 0.7)
+    cosine = 1.0 - np.minimum(DEPTHS_PX / radius_px, 1.0)
+    sine = np.sqrt(1.0 - cosine**2)
+    incident = np.maximum((normals @ sun[:2])[:, None] * cosine - sun[2] * sine, 0.0)
+    terms = blurred(np.stack([incident, incident / (incident + sine)], axis=1), radius_px, 0.7)
+    start = np.full(21, 0.5)
+    place, gain = fit_limb(samples, terms[:, [int(law)]], start)
     assert np.abs(place).max() < 0.1
     assert abs(place.mean()) < 0.03
-    assert (level > 0.0).all()
+    assert (gain[:, 0] > 0.0).all() and not gain[:, 1].any()
+    # Within a narrow strip both laws are alike.
+    if radius_px > 20.0 and phase_deg < 100.0:
+        assert second_law(samples, terms, start) == pytest.approx(law, abs=0.15)
 
 
 @pytest.mark.parametrize("name", ["contact-binary", "itokawa-like"])
