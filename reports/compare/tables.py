@@ -300,23 +300,27 @@ def consistency_tables(found: RunComparison) -> tuple[Grid | None, pd.DataFrame]
     """Tabulate NEES and NIS, printed with their bands (None where no subject claims a covariance) and as numbers."""
     rows, numbers = [], []
     for subject, errors in subject_consistencies(found):
-        mean, median, band, inside = errors.test(errors.table["cluster"].to_numpy()).values()
+        mean, median, band, inside, *wrong = errors.test(errors.table["cluster"].to_numpy()).values()
         rows.append(found.levels(subject.names) | {
             "weighed": f"{normalised_label(errors.name)} ({errors.expected} expected)",
             "trials": f"{len(errors.table)}/{subject.n}",
             "mean [95 %]": interval(mean),
             "95 % band": f"{number(band.low)} to {number(band.high)}",
             "median [95 %]": interval(median),
-            "within 95 % [95 %]": interval(inside, 100.0),
+            "in 95 %, % [95 %]": interval(inside, 100.0),
+            "worse and sure, % [95 %]": interval(wrong[0], 100.0) if wrong else NO_VALUE,
         })  # fmt: skip
         row: dict[str, object] = dict(zip(found.factors, subject.names, strict=True))
         row |= {"weighed": errors.name, "expected": errors.expected, "n": subject.n}
-        parts = {"mean": mean, "median": median, "band": band, "inside": inside}
+        parts = dict(
+            zip(("mean", "median", "band", "inside", "wrong"), (mean, median, band, inside, *wrong), strict=False)
+        )
         numbers.append(row | {"n_ok": len(errors.table)} | _flat({name: asdict(part) for name, part in parts.items()}))
     note = (
         "Squared errors (NEES) and innovations (NIS), normalised by the covariance that the estimator itself claims. If"
         " it is true, the mean over this number of trials lies in the band with a probability of 95 %, and 95 % of the"
-        " trials lie within the central 95 % of the distribution. A mean above the band means that the covariance is"
-        " too small. Innovations that a filter's own gate rejected are not part of the NIS."
+        " trials lie in the ellipsoid that should hold them. Worse and sure are poses that are worse than the prior"
+        " with a NEES of five times the expected one. A mean above the band means that the covariance is too small."
+        " Innovations that a filter's own gate rejected are not part of the NIS."
     )
     return row_grid("Covariances", rows, (*found.varied, "weighed"), note) if rows else None, pd.DataFrame(numbers)

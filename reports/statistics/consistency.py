@@ -36,7 +36,8 @@ from boresight.scenarios.arrays import FloatArray
 CONSISTENCY = "consistency"
 """Stage of the records that compare errors with a covariance or a bound."""
 
-BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
+BAND, INSIDE, RATIO = "mean if consistent", "share in the 95 % ellipsoid", "RMS ratio"
+WRONG = "share worse than the prior, and sure"
 _RATIOS = {
     "position_over_sigma": ("position_error_m", "position_sigma_m"),
     "position_over_bound": ("position_error_m", "position_bound_m"),
@@ -48,10 +49,12 @@ _NOTE = (
     "NEES: the squared error weighted by the inverse of the estimator's own covariance; NIS: the squared"
     " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are"
     " true, 95 % of the means of as many trials lie in the band; a mean above it indicates a covariance that is"
-    " too small. Within 95 %: share of the trials inside the central 95 % of the distribution. The last columns"
-    " are the RMS error over the one that the covariance predicts, and over the Cramer-Rao bound of the"
-    " estimator's own observations: 1 is the best that these allow. The covariance of the paper's method, which"
-    " uses no prior, is that bound itself, under the covariances that its data base gives the landmarks."
+    " too small. In 95 %: share of the trials whose error is in the ellipsoid that should hold 95 % of them. Worse and"
+    " sure: share of those that are worse than the prior with a NEES of five times the expected one, which a filter"
+    " would believe. The last columns are the RMS error over the one that the covariance predicts, and over the"
+    " Cramer-Rao bound of the estimator's own observations: 1 is the best that these allow. The covariance of the"
+    " paper's method, which uses no prior, is that bound itself, under the covariances that its data base gives the"
+    " landmarks."
 )
 
 NEES, NIS = "nees", "innovation"
@@ -60,6 +63,7 @@ _AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
 POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES = 6, 6, 3
 _NIS_DEGREES = "innovation_degrees"
 _TAILS = (0.025, 0.975)
+_SURE = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +73,8 @@ class NormalisedErrors:
     ``name`` is ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch`` of position
     and velocity of an orbit, or ``innovation``. ``expected`` is the mean where covariances are true, in the unit of
     ``ratio``. Columns of the table: ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of
-    innovations per measurement) and ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected).
+    innovations per measurement), ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected) and,
+    of poses, ``worse`` (whether the position is worse than the prior's).
     """
 
     name: str
@@ -80,15 +85,18 @@ class NormalisedErrors:
         """Compare them, at least one, with their distribution; ``clusters`` (n,) are what of them is independent.
 
         By the names of statistics: mean and median; `BAND`, the expected mean and the range of 95 % of the means of as
-        many; and `INSIDE`, the share of the trials within the central 95 % of the distribution.
+        many; `INSIDE`, the share of the trials in the ellipsoid of 95 %; and, of poses, `WRONG`.
         """
         ratios, degrees = (self.table[name].to_numpy(np.float64) for name in ("ratio", "degrees"))
         mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
         whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
-        low, high = (self.expected * chi_square_quantile(tail, degrees) / degrees for tail in _TAILS)
-        inside = share_of((ratios >= low) & (ratios <= high), clusters)
+        inside = share_of(ratios <= self.expected * chi_square_quantile(0.95, degrees) / degrees, clusters)
         band = consistent_mean(whole, self.expected)
-        return {MEAN.name: mean, MEDIAN.name: median, BAND: band, INSIDE: inside}
+        found = {MEAN.name: mean, MEDIAN.name: median, BAND: band, INSIDE: inside}
+        if "worse" in self.table:
+            sure = ratios > _SURE * self.expected
+            found[WRONG] = share_of(self.table["worse"].to_numpy(bool) & sure, clusters)
+        return found
 
 
 def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
@@ -99,7 +107,9 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
     source = kind_schema(run.manifest.experiment).nees
     table = run.rows if source == "rows" else run.table(source)
     if source == "rows":
-        yield from _some(NEES, POSE_DEGREES, table[table["status"] == "ok"], NEES, POSE_DEGREES)
+        solved = table[table["status"] == "ok"]
+        worse = solved["position_error_m"] > solved["prior_position_error_m"]
+        yield from _some(NEES, POSE_DEGREES, solved.assign(worse=worse), NEES, POSE_DEGREES)
     elif source == "epochs":
         for k, ends in revolution_ends(table):
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, ends, NEES, POSITION_DEGREES)
@@ -116,7 +126,8 @@ def _some(
     name: str, expected: int, table: pd.DataFrame, column: str, degrees: int | pd.Series
 ) -> Iterator[NormalisedErrors]:
     """Yield the normalised errors of the rows that have one in a column; nothing where none has."""
-    known = table.assign(ratio=table[column], degrees=degrees)[[*TRIAL_KEY, "ratio", "degrees"]].dropna()
+    columns = [*TRIAL_KEY, "ratio", "degrees", *({"worse"} & set(table))]
+    known = table.assign(ratio=table[column], degrees=degrees)[columns].dropna()
     if len(known):
         yield NormalisedErrors(name, expected, known)
 
@@ -201,12 +212,15 @@ _COLUMNS = (
     ),
     record_column("mean [95 %]", statistic=MEAN.name, interval=True),
     record_column("band", printed=lambda band: f"{number(band.low)} to {number(band.high)}" if band else NO_VALUE),
-    record_column("within 95 %", statistic=INSIDE, interval=True),
+    record_column("in 95 %", statistic=INSIDE, interval=True),
 )
-_RATIO_COLUMNS = tuple(
-    _ratio_column(f"{what}, RMS over {over}", f"{what}_over_{of}")
-    for over, of in (("predicted", "sigma"), ("bound", "bound"))
-    for what in ("position", "attitude")
+_OF_POSES = (
+    record_column("worse and sure", statistic=WRONG, interval=True),
+    *(
+        _ratio_column(f"{what}, RMS over {over}", f"{what}_over_{of}")
+        for over, of in (("predicted", "sigma"), ("bound", "bound"))
+        for what in ("position", "attitude")
+    ),
 )
 
 
@@ -218,5 +232,5 @@ def consistency_grid(records: Sequence[Record]) -> Grid | None:
     others = [r for r in own if (r.scenario, r.estimator) not in with_band]
     lines = [*bands, *dict.fromkeys(Key(r.scenario, r.estimator, CONSISTENCY, statistic=BAND) for r in others)]
     known = by_key(own)
-    shown = [one for one in _RATIO_COLUMNS if any(one.cell(key, known) != NO_VALUE for key in lines)]
+    shown = [one for one in _OF_POSES if any(one.cell(key, known) != NO_VALUE for key in lines)]
     return record_grid("Covariance and bound", (*_COLUMNS, *shown), own, lines, _NOTE)

@@ -13,6 +13,7 @@ from boresight.reports.statistics.consistency import (
     INSIDE,
     NEES,
     RATIO,
+    WRONG,
     NormalisedErrors,
     consistency_grid,
     consistency_records,
@@ -67,9 +68,19 @@ def test_a_covariance_that_is_too_small_shows(builder):
     records = consistency_records(store(builder, 2.0))
     assert value(records, NEES, "mean").low > value(records, NEES, BAND).high
     assert value(records, NEES, "mean").value == pytest.approx(24.0, rel=0.1)
+    assert value(records, NEES, INSIDE).value == pytest.approx(chi2.cdf(chi2.ppf(0.95, 6) / 4.0, 6), abs=0.06)
     assert value(records, "position_over_sigma", RATIO).value == pytest.approx(2.0, rel=0.1)
     assert value(records, "attitude_over_sigma", RATIO).value == pytest.approx(2.0)
     assert value(records, "attitude_over_bound", RATIO).value == pytest.approx(1.0)
+
+
+def test_answers_that_are_worse_than_the_prior_and_sure_are_counted(builder):
+    """The prior is 50 m off; of 400 trials some are 20 times as far off as their covariance says."""
+    run = store(builder, 20.0)
+    solved = run.rows[run.rows["status"] == "ok"]
+    wrong = (solved["position_error_m"] > 50.0) & (solved["nees"] > 30.0)
+    assert 0.02 < wrong.mean() < 0.98
+    assert value(consistency_records(run), NEES, WRONG).value == pytest.approx(wrong.mean())
 
 
 def test_errors_that_are_known_to_be_none_have_no_ratio(builder):
