@@ -126,7 +126,7 @@ def pixel_file(label: Label) -> Path:
     folder = label.path.parent
     found = [path for path in folder.iterdir() if path.name.casefold() == name.casefold()]
     if not found:
-        raise label.fault(f"^IMAGE: {name} is not in {folder}")
+        raise label.fault(f"the file of its image: {name} is not in {folder}")
     return found[0]
 
 

@@ -159,7 +159,7 @@ FAULTS = {
     "no end": (b"PDS_VERSION_ID = PDS3\r\nA = 1\r\n", "no line END"),
     "not the language": (b"PDS_VERSION_ID = PDS3\r\nX = (1,\r\nEND\r\n", "not a readable PDS3 label"),
     "no pointer": (label(pointer=""), r"\^IMAGE: missing"),
-    "no file": (label(pointer='^IMAGE = "B.IMG"'), r"\^IMAGE: B.IMG is not in"),
+    "no file": (label(pointer='^IMAGE = "B.IMG"'), r"image: B.IMG is not in"),
     "no place": (label(pointer='^IMAGE = ("A.IMG", 3 <KB>)'), r"3 KB is no place"),
     "place from 0": (label(pointer='^IMAGE = ("A.IMG", 0)'), "0 records is no place"),
     "odd type": (label(kind="VAX_REAL"), "SAMPLE_TYPE: VAX_REAL is not read"),
