@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, get_args
 
 from boresight.renderers.brdf.arrays import NUMPY, Array, ArrayMath, phase_angle, phase_of_rays
-from boresight.renderers.brdf.laws import (
-    HapkeParameters,
-    LommelSeeligerParameters,
-    McEwenParameters,
-    OrenNayarParameters,
-    hapke,
-    lambert,
-    lommel_seeliger,
-    mcewen,
-    oren_nayar,
-)
+from boresight.renderers.brdf.laws import Section, hapke, lambert, lommel_seeliger, mcewen, oren_nayar
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.brdf import (
     BrdfSpec,
@@ -35,19 +26,14 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ReflectanceModel:
-    """Reflectance model: its schema in scenarios, the parameters of a ``brdf`` section, and the law.
-
-    ``parameters`` converts the values of the section, and ``law`` is the BRDF, 1/sr, of (parameters, cos_i, cos_e,
-    phase_rad, math).
-    """
+    """Reflectance model: its schema in scenarios, and its BRDF, 1/sr, of (section, cos_i, cos_e, phase_rad, math)."""
 
     spec: type[SpecModel]
-    parameters: Callable[[Values], Any]
-    law: Callable[[Any, Array, Array, Array, ArrayMath], Array]
+    law: Callable[[Section, Array, Array, Array, ArrayMath], Array]
 
     def formula(self, values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
         """Evaluate the BRDF, 1/sr, by the values of a ``brdf`` section in its units; they may be Dr.Jit values."""
-        return self.law(self.parameters(values), cos_i, cos_e, phase_rad, xp)
+        return self.law(SimpleNamespace(**values), cos_i, cos_e, phase_rad, xp)
 
     @property
     def kind(self) -> str:
@@ -64,11 +50,11 @@ class ReflectanceModel:
 MODELS = {
     model.kind: model
     for model in (
-        ReflectanceModel(LambertSpec, lambda values: values["albedo"], lambda albedo, *_: lambert(albedo)),
-        ReflectanceModel(OrenNayarSpec, OrenNayarParameters.from_values, oren_nayar),
-        ReflectanceModel(HapkeSpec, HapkeParameters.from_values, hapke),
-        ReflectanceModel(LommelSeeligerSpec, LommelSeeligerParameters.from_values, lommel_seeliger),
-        ReflectanceModel(McEwenSpec, McEwenParameters.from_values, mcewen),
+        ReflectanceModel(LambertSpec, lambda section, *_: lambert(section.albedo)),
+        ReflectanceModel(OrenNayarSpec, oren_nayar),
+        ReflectanceModel(HapkeSpec, hapke),
+        ReflectanceModel(LommelSeeligerSpec, lommel_seeliger),
+        ReflectanceModel(McEwenSpec, mcewen),
     )
 }
 

@@ -15,10 +15,8 @@ Sources:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from math import pi
-from typing import Any, Literal
+from typing import Any
 
 from boresight.renderers.brdf.arrays import (
     Array,
@@ -29,6 +27,9 @@ from boresight.renderers.brdf.arrays import (
     sine,
     smaller_and_larger_angle,
 )
+
+Section = Any
+"""The values of a ``brdf`` section by name, as in its model (`HapkeSpec`); numbers may be Dr.Jit values."""
 
 # Lower bound of 1 + b^2 -+ 2 b cos g, which is 0 at |b| = 1 in the centre of a lobe.
 _TINY = 1e-12
@@ -53,25 +54,7 @@ def lambert(albedo: Array) -> Array:
     return albedo / pi
 
 
-@dataclass(frozen=True, slots=True)
-class LommelSeeligerParameters:
-    """Parameters of the formula; the numbers may be Dr.Jit values.
-
-    ``w`` is the single scattering albedo of the particles, not the reflectance of the surface. ``b`` and ``c`` are the
-    lobes of the particles' phase function P (`henyey_greenstein`).
-    """
-
-    w: Array
-    b: Array
-    c: Array
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> LommelSeeligerParameters:
-        """Convert the values of a scenario's ``brdf`` section, by key."""
-        return cls(values["w"], values["b"], values["c"])
-
-
-def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+def lommel_seeliger(p: Section, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Lommel and Seeliger's BRDF, 1/sr: ``I/F = w/4 P(g) mu0 / (mu0 + mu)``, divided by pi mu0.
 
     The angles are given as in `brdf_value`. Single scattering in a dark medium: light is attenuated by exp(-tau / mu0)
@@ -85,26 +68,7 @@ def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, pha
     return scattered / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
 
 
-@dataclass(frozen=True, slots=True)
-class McEwenParameters:
-    """Parameters of the formula; the numbers may be Dr.Jit values.
-
-    ``albedo`` is the radiance factor A at normal incidence and emission. The others are the coefficients of the weight
-    of the lunar part, ``L = 1 + L1 g + L2 g^2 + L3 g^3`` with g in degrees.
-    """
-
-    albedo: Array
-    L1_per_deg: Array
-    L2_per_deg2: Array
-    L3_per_deg3: Array
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> McEwenParameters:
-        """Convert the values of a scenario's ``brdf`` section, by key."""
-        return cls(values["albedo"], values["L1_per_deg"], values["L2_per_deg2"], values["L3_per_deg3"])
-
-
-def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+def mcewen(p: Section, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """McEwen's BRDF, 1/sr: ``I/F = A [2 L mu0 / (mu0 + mu) + (1 - L) mu0]``, divided by pi mu0.
 
     The angles are given as in `brdf_value`. The factor 2 makes A the radiance factor at mu0 = mu = 1 for every weight
@@ -120,32 +84,14 @@ def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp
     return p.albedo / pi * (weight * lunar + (1.0 - weight))
 
 
-def lunar_weight(p: McEwenParameters, phase_rad: Array, xp: ArrayMath) -> Array:
+def lunar_weight(p: Section, phase_rad: Array, xp: ArrayMath) -> Array:
     """Weight L(g) of the lunar part, clipped to [0, 1]: the Moon's polynomial is negative beyond 104 deg."""
     g = phase_rad * (180.0 / pi)  # the published coefficients are per degree
     polynomial = 1.0 + g * (p.L1_per_deg + g * (p.L2_per_deg2 + g * p.L3_per_deg3))
     return xp.minimum(xp.maximum(polynomial, 0.0), 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class OrenNayarParameters:
-    """Parameters in the units of the formula; the numbers may be Dr.Jit values.
-
-    ``albedo`` is the reflectance of a cavity's facets, rho in the paper, and ``sigma_rad`` the standard deviation of
-    their slope angle. ``form`` chooses the full functional approximation with interreflection, or the qualitative one.
-    """
-
-    albedo: Array
-    sigma_rad: Array
-    form: Literal["full", "qualitative"] = "full"
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> OrenNayarParameters:
-        """Convert the values of a scenario's ``brdf`` section, by key."""
-        return cls(values["albedo"], values["sigma_deg"] * (pi / 180.0), values["form"])
-
-
-def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+def oren_nayar(p: Section, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Oren and Nayar's BRDF of rough Lambertian V-cavities, 1/sr; the angles are given as in `brdf_value`.
 
     At slopes above about 45 deg the paper's fit becomes slightly negative for grazing forward scattering; it is
@@ -159,7 +105,7 @@ def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Ar
 
 
 def _oren_nayar_full(
-    p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
+    p: Section, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
 ) -> Array:
     """Single scattering plus one interreflection; alpha is the larger of the two angles, beta the smaller.
 
@@ -168,7 +114,8 @@ def _oren_nayar_full(
     cos_phi = azimuth[1] - azimuth[0]
     sin_alpha, sin_beta = sine(cos_alpha, xp), sine(cos_beta, xp)
     alpha, beta = xp.atan2(sin_alpha, cos_alpha), xp.atan2(sin_beta, cos_beta)
-    s2 = p.sigma_rad * p.sigma_rad
+    sigma_rad = p.sigma_deg * (pi / 180.0)
+    s2 = sigma_rad * sigma_rad
     beta_cubed = (2.0 * beta / pi) * (2.0 * beta / pi) * (2.0 * beta / pi)
     product = 4.0 * alpha * beta / (pi * pi)
     # Coefficients C1, C2 and C3 of the functional approximation; C2 has another form for cos(phi) < 0.
@@ -184,42 +131,18 @@ def _oren_nayar_full(
 
 
 def _oren_nayar_qualitative(
-    p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
+    p: Section, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
 ) -> Array:
     """Evaluate the qualitative model: the paper's A and B, without C3 and interreflection."""
-    s2 = p.sigma_rad * p.sigma_rad
+    sigma_rad = p.sigma_deg * (pi / 180.0)
+    s2 = sigma_rad * sigma_rad
     a = 1.0 - 0.5 * s2 / (s2 + 0.33)
     b = 0.45 * s2 / (s2 + 0.09)
     tan_beta = sine(cos_beta, xp) / cos_beta
     return p.albedo / pi * (a + b * xp.maximum(azimuth[1] - azimuth[0], 0.0) * sine(cos_alpha, xp) * tan_beta)
 
 
-@dataclass(frozen=True, slots=True)
-class HapkeParameters:
-    """Parameters in the units of the formula; the numbers may be Dr.Jit values.
-
-    ``w`` is the single scattering albedo, below 1. ``b`` is the asymmetry of the two Henyey-Greenstein lobes, ``c``
-    their balance: c = 1 is all backward, c = -1 all forward. ``B0`` and ``h`` are the amplitude and the angular width
-    of the opposition surge, ``theta_bar_rad`` is the mean slope angle of the macroscopic roughness. ``H_function`` is
-    the year of Hapke's approximation of Chandrasekhar's H function.
-    """
-
-    w: Array
-    b: Array
-    c: Array
-    B0: Array
-    h: Array
-    theta_bar_rad: Array
-    H_function: Literal["2002", "1981"] = "2002"
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> HapkeParameters:
-        """Convert the values of a scenario's ``brdf`` section, by key."""
-        v = values
-        return cls(v["w"], v["b"], v["c"], v["B0"], v["h"], v["theta_bar_deg"] * (pi / 180.0), v["H_function"])
-
-
-def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+def hapke(p: Section, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Hapke's BRDF, 1/sr: the bidirectional reflectance r divided by the cosine of incidence.
 
     The angles are given as in `brdf_value`; ``phase_rad`` is the paper's g. The two cases of the roughness correction
@@ -232,7 +155,7 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
     azimuth = azimuth_squares(cos_i, cos_e, phase_rad, xp)
     # Roughness enters as effective cosines, at which the formula of the smooth surface is evaluated, and as the factor
     # S. eq. (12.55)
-    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, azimuth, xp)
+    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_deg * (pi / 180.0), cos_a, cos_b, azimuth, xp)
     single = (1.0 + opposition_surge(p, phase_rad, xp)) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
     # Multiple scattering as if isotropic: H H - 1, without the light that is scattered once.
     multiple = h_function(p, mu_a, xp) * h_function(p, mu_b, xp) - 1.0
@@ -240,14 +163,14 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
     return p.w / (4.0 * pi) / (mu_a + mu_b) * (single + multiple) * shadowing
 
 
-def opposition_surge(p: HapkeParameters, phase_rad: Array, xp: ArrayMath) -> Array:
+def opposition_surge(p: Section, phase_rad: Array, xp: ArrayMath) -> Array:
     """Opposition surge B(g) = B0 / (1 + tan(g/2) / h), written without the pole of the tangent at g = pi."""
     # eq. (9.22) times cos(g/2) above and below; at g = pi rounding can make that cosine negative.
     cosine = xp.maximum(xp.cos(0.5 * phase_rad), 0.0)
     return p.B0 * p.h * cosine / (p.h * cosine + xp.sin(0.5 * phase_rad))
 
 
-def h_function(p: HapkeParameters, x: Array, xp: ArrayMath) -> Array:
+def h_function(p: Section, x: Array, xp: ArrayMath) -> Array:
     """Chandrasekhar's H function for isotropic scatterers, in Hapke's approximation of 2002 or 1981.
 
     Up to w = 0.95 the former is within 1 % of the exact function and the latter within 4.5 %.

@@ -10,8 +10,6 @@ from scipy.integrate import quad
 
 from boresight.renderers.brdf import NUMPY, brdf_value
 from boresight.renderers.brdf.laws import (
-    HapkeParameters,
-    OrenNayarParameters,
     h_function,
     hapke,
     henyey_greenstein,
@@ -133,7 +131,7 @@ def test_oren_nayar_fits_the_integral_over_facets(sigma_deg, geometry):
     """The model is the authors' fit of this integral; it follows it within 7 %, Lambert only within a factor of 3."""
     i, e, psi = (math.radians(x) for x in geometry)
     vanishing = 1e-9  # without interreflection
-    p = OrenNayarParameters(vanishing, math.radians(sigma_deg))
+    p = OrenNayarSpec(kind="oren-nayar", albedo=vanishing, sigma_deg=sigma_deg)
     single = float(oren_nayar(p, np.cos(i), np.cos(e), np.array(phase(i, e, psi)), NUMPY)) / vanishing
     assert single == pytest.approx(facet_integral(math.radians(sigma_deg), i, e, psi), rel=0.07)
 
@@ -146,9 +144,9 @@ def test_oren_nayar_qualitative_form_by_hand():
     assert value(spec, math.pi / 4, math.pi / 4, math.pi) == pytest.approx(0.3 / math.pi * 0.784482759, rel=1e-8)
 
 
-def hapke_1984(p: HapkeParameters, i: float, e: float, psi: float) -> float:
+def hapke_1984(p: HapkeSpec, i: float, e: float, psi: float) -> float:
     """r(i, e, g) S(i, e, psi) / cos i, with the two cases of the 1984 paper apart."""
-    t = math.tan(p.theta_bar_rad)
+    t = math.tan(math.radians(p.theta_bar_deg))
     chi = 1 / math.sqrt(1 + math.pi * t * t)
 
     def e1(x: float) -> float:
@@ -175,7 +173,7 @@ def hapke_1984(p: HapkeParameters, i: float, e: float, psi: float) -> float:
     return smooth_hapke(p, mu0e, mue, phase(i, e, psi)) * s / math.cos(i)
 
 
-def smooth_hapke(p: HapkeParameters, mu0: float, mu: float, g: float) -> float:
+def smooth_hapke(p: HapkeSpec, mu0: float, mu: float, g: float) -> float:
     """r(i, e, g) of a smooth surface."""
     gamma = math.sqrt(1 - p.w)
 
@@ -194,7 +192,7 @@ def smooth_hapke(p: HapkeParameters, mu0: float, mu: float, g: float) -> float:
 @pytest.mark.parametrize("spec", [spec for spec in HAPKES if spec.theta_bar_deg > 0], ids=repr)
 @given(i=st.floats(0.01, 1.57), e=st.floats(0.01, 1.57), psi=st.floats(0.001, 3.1))
 def test_hapke_is_the_papers_two_cases(spec, i, e, psi):
-    expected = hapke_1984(HapkeParameters.from_values(dict(spec)), i, e, psi)
+    expected = hapke_1984(spec, i, e, psi)
     assert value(spec, i, e, psi) == pytest.approx(expected, rel=2e-6)
 
 
@@ -234,9 +232,7 @@ def test_hapke_gives_the_radiance_factors_that_isis_publishes(spec, zenith, obli
 @given(i=st.floats(0.0, 1.57), e=st.floats(0.0, 1.57), psi=st.floats(0.0, 3.1))
 def test_hapke_without_roughness_is_the_smooth_model(H_function, i, e, psi):
     spec = HapkeSpec(kind="hapke", theta_bar_deg=0.0, H_function=H_function)
-    expected = smooth_hapke(
-        HapkeParameters.from_values(dict(spec)), math.cos(i), math.cos(e), phase(i, e, psi)
-    ) / math.cos(i)
+    expected = smooth_hapke(spec, math.cos(i), math.cos(e), phase(i, e, psi)) / math.cos(i)
     assert value(spec, i, e, psi) == pytest.approx(expected, rel=2e-4)
 
 
@@ -254,7 +250,7 @@ def chandrasekhar(w: float, x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("w", [0.2, 0.42, 0.8, 0.95])
 def test_h_function_follows_the_exact_one(kind, tolerance, w):
     x = np.linspace(0.02, 1.0, 30)
-    p = HapkeParameters(w, 0.0, 0.0, 0.0, 0.1, 0.0, kind)
+    p = HapkeSpec(kind="hapke", w=w, H_function=kind)
     np.testing.assert_allclose(h_function(p, x, NUMPY), chandrasekhar(w, x), rtol=tolerance)
 
 
@@ -271,7 +267,7 @@ def test_c_of_one_is_all_backward():
 
 
 def test_opposition_surge_by_hand():
-    p = HapkeParameters(0.5, 0.4, 1.0, 0.8, 0.05, 0.0)
+    p = HapkeSpec(kind="hapke", B0=0.8, h=0.05)
     assert float(opposition_surge(p, 0.0, NUMPY)) == pytest.approx(0.8)
     assert float(opposition_surge(p, 2.0 * math.atan(0.05), NUMPY)) == pytest.approx(0.4)
     assert float(opposition_surge(p, math.pi, NUMPY)) == pytest.approx(0.0, abs=1e-15)
@@ -279,8 +275,8 @@ def test_opposition_surge_by_hand():
 
 def test_roughness_darkens_grazing_light_and_keeps_the_zenith():
     """At i = e = 0 the 1984 correction leaves the reflectance as it is, up to the tilt of the effective cosines."""
-    p = HapkeParameters(0.3, 0.3, 1.0, 0.5, 0.05, math.radians(30.0))
-    smooth = HapkeParameters(0.3, 0.3, 1.0, 0.5, 0.05, 0.0)
+    p = HapkeSpec(kind="hapke", w=0.3, b=0.3, B0=0.5, h=0.05, theta_bar_deg=30.0)
+    smooth = HapkeSpec(kind="hapke", w=0.3, b=0.3, B0=0.5, h=0.05, theta_bar_deg=0.0)
     grazing = (math.cos(1.4), math.cos(1.3), np.array(2.7))
     assert float(hapke(p, *grazing, NUMPY)) < 0.5 * float(hapke(smooth, *grazing, NUMPY))
     chi = 1.0 / math.sqrt(1.0 + math.pi * math.tan(math.radians(30.0)) ** 2)
