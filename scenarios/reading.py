@@ -50,6 +50,22 @@ CONTENT_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeE
 """Exceptions raised when valid arrays and headers are inconsistent with each other."""
 
 
+def number_in(text: object) -> float:
+    """Return the number that a text is; NaN if it is none."""
+    try:
+        return float(str(text))
+    except ValueError:
+        return float("nan")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file; raise BoresightError if it is missing or cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
 def read_json(path: Path, what: str) -> Any:
     """Read a JSON file; ``what`` is its expected content, for the error message.
 

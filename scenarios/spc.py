@@ -44,7 +44,7 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in
 
 _COUNTS = {
     "NPX, NLN, THRSH": 4, "MMFL, CTR": 3, "SCOBJ": 3, "CX": 3, "CY": 3, "CZ": 3, "SZ": 3, "K-MATRIX": 6,
@@ -226,10 +226,7 @@ def _values(path: Path, lines: list[str], counts: Mapping[str, int], kind: str) 
 
 
 def _number(path: Path, name: str, text: str) -> float:
-    try:
-        value = float(text.upper().replace("D", "E"))  # Fortran's exponents
-    except ValueError:
-        value = np.nan
+    value = number_in(text.upper().replace("D", "E"))  # Fortran's exponents
     if not abs(value) <= LARGEST_NUMBER:
         raise BoresightError(f"{path}: {name}: {text!r} is not a number that this can be")
     return value

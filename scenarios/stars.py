@@ -11,10 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.reading import number_in
 
 COLUMNS = ("ra_deg", "dec_deg", "mag")
 _LIMITS = {"ra_deg": (0.0, 360.0), "dec_deg": (-90.0, 90.0), "mag": (-30.0, 30.0)}
@@ -114,20 +114,10 @@ def _of_hipparcos(content: bytes, year: float, path: Path) -> StarCatalog:
         except ValueError:
             wrong = True
         if wrong:
-            line = _first_wrong(texts, most)
+            found = (number_in(text.decode("latin-1")) for text in texts.tolist())
+            line = next((k for k, number in enumerate(found, 1) if not abs(number) <= most), len(texts))
             raise BoresightError(f"{path}: line {line}: bytes {start} to {end} are no number up to {most:g}")
     return _moved(values, year - _EPOCH_YEAR)
-
-
-def _first_wrong(texts: NDArray[np.bytes_], most: float) -> int:
-    """Return the number of the first line, from 1, whose text is no number of at most a size."""
-    for number, text in enumerate(texts.tolist(), start=1):
-        try:
-            if not abs(float(text)) <= most:
-                return number
-        except ValueError:
-            return number
-    return len(texts)
 
 
 def _moved(values: dict[str, FloatArray], years: float) -> StarCatalog:
@@ -173,10 +163,7 @@ def _star(row: list[str], places: list[int], columns: int, where: str) -> tuple[
     values = []
     for name, place in zip(COLUMNS, places, strict=True):
         (low, high), text = _LIMITS[name], row[place].strip()
-        try:
-            value = float(text)
-        except ValueError:
-            value = np.nan
+        value = number_in(text)
         if not low <= value <= high:
             raise BoresightError(f"{where}: {name} {text[:40]!r} is not in [{low:g}, {high:g}]")
         values.append(value)

@@ -22,10 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from boresight.renderers.images.pixels import read_bytes
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, Pose
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in, read_bytes
 
 IMAGES = ("images.bin", "images.txt")
 _PINHOLE = 4  # numbers of fx, fy, cx, cy
@@ -189,10 +188,7 @@ def _numbers(place: str, cells: Sequence[str]) -> list[float]:
     """Return finite numbers of a possible size."""
     found = []
     for cell in cells:
-        try:
-            value = float(cell)
-        except ValueError:
-            value = np.nan
+        value = number_in(cell)
         if not abs(value) <= LARGEST_NUMBER:
             raise BoresightError(f"{place}: {cell[:40]!r} is not a number that this can be")
         found.append(value)

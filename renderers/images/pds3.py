@@ -17,7 +17,7 @@ from pvl.exceptions import LexerError, ParseError, QuantityError
 from pvl.parser import OmniParser
 
 from boresight.scenarios.errors import BoresightError, one_line
-from boresight.scenarios.reading import MOST_PIXELS
+from boresight.scenarios.reading import MOST_PIXELS, read_bytes
 
 LABEL_SUFFIXES = (".lbl",)
 ATTACHED_SUFFIXES = (".img",)
@@ -137,10 +137,7 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
     """
     layout, image = _layout(label), label.part("IMAGE")
     stride = layout.prefix + layout.samples * layout.dtype.itemsize + layout.suffix
-    try:
-        content = layout.path.read_bytes()[layout.offset : layout.offset + layout.lines * stride]
-    except OSError as error:
-        raise BoresightError(f"{layout.path}: cannot be read: {error.strerror or error}") from error
+    content = read_bytes(layout.path)[layout.offset : layout.offset + layout.lines * stride]
     if len(content) < layout.lines * stride:
         raise BoresightError(
             f"{layout.path}: too short: {layout.lines} lines of {stride} bytes from byte {layout.offset} end beyond it"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from boresight.scenarios.bitmap import read_bitmap
 from boresight.scenarios.errors import BoresightError, one_line
-from boresight.scenarios.reading import MOST_PIXELS
+from boresight.scenarios.reading import MOST_PIXELS, read_bytes
 
 if TYPE_CHECKING:
     from astropy.io import fits
@@ -92,16 +92,6 @@ def read_image(path: Path) -> NDArray[np.float32]:
     if image.ndim != 2:
         raise BoresightError(f"{path}: a grey image has rows and columns alone, this one has shape {image.shape}")
     return finite_float32(image, path)
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a whole file; `BoresightError` if it is missing or cannot be read."""
-    if not path.is_file():
-        raise BoresightError(f"{path}: no such image")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def finite_float32(image: NDArray[np.generic], path: Path) -> NDArray[np.float32]:

@@ -23,9 +23,9 @@ from boresight.renderers.images.pds3 import (
 )
 from boresight.renderers.images.pds3 import read_pixels as read_pds3_pixels
 from boresight.renderers.images.pds4 import PDS4_SUFFIXES, parse_pds4_label
-from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_image
+from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_fits, read_image
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, read_bytes
 
 _UNKNOWN = ("", "N/A", "NA", "UNK", "UNKNOWN", "NULL")
 _SECONDS = {"S": 1.0, "SECOND": 1.0, "SECONDS": 1.0, "SEC": 1.0, "MS": 1e-3, "MILLISECOND": 1e-3, "MILLISECONDS": 1e-3}

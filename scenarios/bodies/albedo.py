@@ -9,6 +9,7 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.reading import read_bytes
 from boresight.scenarios.spec.body import AlbedoMapSpec
 
 ALBEDO_MAP_VERSION = 1
@@ -23,10 +24,7 @@ def read_albedo_map(path: Path) -> FloatArray:
     # Imported here: OpenCV takes 0.1 s, which commands that list scenarios do without.
     from boresight.scenarios.bitmap import read_bitmap
 
-    try:
-        image = read_bitmap(path.read_bytes(), path)
-    except OSError as error:
-        raise BoresightError(f"{path}: cannot read the albedo map: {error.strerror or error}") from error
+    image = read_bitmap(read_bytes(path), path)
     if image.ndim != 2 or image.shape[1] != 2 * image.shape[0]:
         size = " x ".join(map(str, (image.shape[1], image.shape[0], *image.shape[2:])))
         raise BoresightError(

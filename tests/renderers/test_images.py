@@ -350,7 +350,7 @@ def test_unreadable_images_are_named(tmp_path):
         "empty.png": "",
         "empty.fits": "",
         "a.gif": "not a format that is read: .png, .tif, .tiff, .fits, .fit, .fts",
-        "gone.png": "no such image",
+        "gone.png": "cannot be read: No such file",
     }.items():
         with pytest.raises(BoresightError, match=re.escape(f"{name}: {line}")) as caught:
             read_image(tmp_path / name)

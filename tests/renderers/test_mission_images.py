@@ -201,7 +201,7 @@ def test_other_files_are_refused(tmp_path):
         open_product(tmp_path / "a.img")
     with pytest.raises(BoresightError, match="not a format of missions"):
         open_product(tmp_path / "a.png")
-    with pytest.raises(BoresightError, match="no such image"):
+    with pytest.raises(BoresightError, match="No such file"):
         open_product(tmp_path / "b.lbl")
 
 

@@ -210,9 +210,9 @@ def test_a_giant_binary_header_is_refused_before_memory_is_taken(tmp_path):
 
 
 def test_missing_files_folders_and_meaningless_options_are_refused(tmp_path):
-    with pytest.raises(BoresightError, match=r"nowhere\.obj: cannot read the shape file: No such file"):
+    with pytest.raises(BoresightError, match=r"nowhere\.obj: cannot be read: No such file"):
         read_shape(tmp_path / "nowhere.obj")
-    with pytest.raises(BoresightError, match="cannot read the shape file: Is a directory"):
+    with pytest.raises(BoresightError, match="cannot be read: Is a directory"):
         read_shape(tmp_path)
     with pytest.raises(BoresightError, match=r"body\.longitude: west has no meaning for a file of format obj"):
         read(tmp_path, "a.obj", OBJ, west_longitudes=True)

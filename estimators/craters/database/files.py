@@ -49,7 +49,7 @@ from boresight.estimators.craters.database.landmarks import Landmarks, PairMatch
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in
 
 _MAX_DIGITS = 18  # more may not fit 64 bits
 
@@ -80,10 +80,7 @@ class TextRecord:
         """Read fields ``first`` to before ``last`` as finite numbers."""
         values = []
         for field in range(first, last):
-            try:
-                value = float(self.fields[field])
-            except ValueError:
-                value = float("nan")
+            value = number_in(self.fields[field])
             if not abs(value) <= LARGEST_NUMBER:
                 raise self.error(
                     f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number of any use"

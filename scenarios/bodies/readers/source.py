@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in, read_bytes
 
 
 class RawShape(NamedTuple):
@@ -34,10 +34,7 @@ class ShapeFile:
     @classmethod
     def open(cls, path: Path) -> ShapeFile:
         """Read the whole file; raise `BoresightError` if it is missing, unreadable or empty."""
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise BoresightError(f"{path}: cannot read the shape file: {error.strerror or error}") from error
+        data = read_bytes(path)
         if not data.strip():
             raise cls(path, data).fault("the shape file is empty; give a file with vertices and faces")
         return cls(path, data)
@@ -86,7 +83,7 @@ class ShapeFile:
             if len(words) <= max(columns):
                 return self.fault(f"expected {max(columns) + 1} columns, found {len(words)}; is the file cut?", i + 1)
             for column in columns:
-                if not abs(_number(words[column])) <= LARGEST_NUMBER:
+                if not abs(number_in(words[column])) <= LARGEST_NUMBER:
                     return self.fault(f"{words[column][:40]!r} is not a finite number of any use", i + 1)
         return self.fault("the table cannot be read as numbers; check body.format")
 
@@ -109,10 +106,3 @@ class ShapeFile:
                 f" (index {faces[first][bad[first]][0]:g} from 0, {len(vertices)} vertices)"
             )
         return RawShape(np.asarray(vertices, dtype=np.float64), faces.astype(np.int64))
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return float("nan")
