@@ -18,9 +18,9 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
 from boresight.scenarios.draw import Stream, body_attitude, draw_aimed_view, drawn_together, generator, state_of_trial
-from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.geometry.mesh import winding_number
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import Scale, body_sides_m
 from boresight.scenarios.onboard import onboard_spec
@@ -339,13 +339,10 @@ def _check_second_body(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
 def check_outside(scenario: LoadedScenario, mesh: TriangleMesh, states: StatesSpec, key: str) -> None:
     """Refuse states of a section's trajectory that are inside the body; the lowest are looked at."""
     positions_m = np.array(states.position_m)
-    volume = Polyhedron(mesh, mesh.volume_m3)
-    reach_m = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
     ranges_m = np.linalg.norm(positions_m, axis=1)
     lowest = np.argsort(ranges_m, kind="stable")[:_CHECKED_STATES]
-    for row in lowest[ranges_m[lowest] <= reach_m]:
-        # The Laplacian of the potential is -4 pi inside, for this gravity parameter, and 0 outside.
-        if volume.laplacian(positions_m[row]) < -2.0 * np.pi:
+    for row in lowest[ranges_m[lowest] <= mesh.radius_m]:
+        if winding_number(mesh, positions_m[row]) > 0.5:
             raise BoresightError(
                 f"{scenario.path}: {key}: row {row} (from 0) of the trajectory is inside the body: check its units"
                 " and axes"

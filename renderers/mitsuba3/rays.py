@@ -11,12 +11,10 @@ from scipy.spatial import ConvexHull, QhullError
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import InsideBodyError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.geometry.mesh import winding_number
 
 # Points on each side of a bounding box that lens distortion bends.
 _BOX_STEPS = 65
-
-# Facets whose solid angles are computed at once, which bounds the memory.
-_CHUNK = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,28 +185,17 @@ def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray
 def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
     """Raise `InsideBodyError` if the camera, at ``position_body_m`` (3,), is inside the body.
 
-    The solid angle of the closed mesh seen from a point is 4 pi inside it and 0 outside (A. van Oosterom and
-    J. Strackee, IEEE Trans. Biomed. Eng. 30, 1983, equation 8). It is not computed beyond the farthest vertex.
+    The winding number is not computed beyond the farthest vertex.
     """
     position = np.asarray(position_body_m, dtype=np.float64)
     distance_m = float(np.linalg.norm(position))
     # Outside the sphere about the body no facet needs to be visited.
     if distance_m > mesh.radius_m:
         return
-    solid_angle = sum(_solid_angle(mesh, slice(k, k + _CHUNK), position) for k in range(0, len(mesh.faces), _CHUNK))
-    # Half way between 4 pi and 0, which leaves room for rounding; the sign depends on the winding.
-    if abs(solid_angle) > 2.0 * np.pi:
+    # Half way between 1 and 0, which leaves room for rounding; the sign depends on the winding.
+    if abs(winding_number(mesh, position)) > 0.5:
         where = ", ".join(f"{x:.6g}" for x in position)
         raise InsideBodyError(
             f"the camera at ({where}) m, {distance_m:.6g} m from the body's origin, is inside the body, whose farthest"
             f" point is at {mesh.radius_m:.6g} m"
         )
-
-
-def _solid_angle(mesh: TriangleMesh, faces: slice, position: FloatArray) -> float:
-    """Signed solid angle, sr, of a slice of the faces seen from a point."""
-    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces[faces]] - position, 1, 0)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    volume = np.einsum("ni,ni->n", a, np.cross(b, c))
-    dots = [np.einsum("ni,ni->n", x, y) for x, y in ((a, b), (a, c), (b, c))]
-    return float(2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la).sum())

@@ -24,7 +24,8 @@ from boresight.scenarios.bodies.topology import directed_edge_keys, find_edges, 
 from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
+from boresight.scenarios.geometry.mesh import TriangleMesh, winding_number
+from boresight.scenarios.reading import read_bytes
 from boresight.scenarios.spec.body import (
     MOST_FACETS,
     AlbedoMapSpec,
@@ -136,15 +137,6 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
             f"{where}: the origin lies outside the body (winding number {turns:.2f}); move the shape so that its"
             f" centre, now at {centre.round(3).tolist()} m, is the origin"
         )
-
-
-def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
-    """Compute the winding number of a closed mesh about a point: 1 inside, 0 outside.
-
-    The sum of the facets' signed solid angles over 4 pi.
-    """
-    corners = mesh.corners_m - point_m
-    return float(solid_angles(corners, np.linalg.norm(corners, axis=2)).sum() / (4.0 * np.pi))
 
 
 HEIGHT_ERROR_VERSION = 1
@@ -317,7 +309,7 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     """
     path = _shape_path(spec, search_dirs)
     content: dict[str, object] = {
-        "shape": spec.shape if path is None else hashlib.sha256(_bytes(path)).hexdigest(),
+        "shape": spec.shape if path is None else hashlib.sha256(read_bytes(path)).hexdigest(),
         "reading": None if path is None else [spec.unit, spec.format, spec.longitude, path.suffix.lower()],
         "detail": None if spec.detail is None else spec.detail.model_dump(mode="json"),
         "versions": [READER_VERSION, EMBEDDED_VERSION, DETAIL_VERSION],
@@ -328,7 +320,7 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
         files = [_local_path(one, search_dirs) for one in spec.local]
         content["local"] = [
             [
-                hashlib.sha256(_bytes(file)).hexdigest(),
+                hashlib.sha256(read_bytes(file)).hexdigest(),
                 file.suffix.lower(),
                 one.model_dump(mode="json", exclude={"shape"}),
             ]
@@ -338,7 +330,7 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     if spec.height_error is not None:
         content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
     if spec.albedo_map is not None:
-        file = hashlib.sha256(_bytes(_map_path(spec.albedo_map, search_dirs))).hexdigest()
+        file = hashlib.sha256(read_bytes(_map_path(spec.albedo_map, search_dirs))).hexdigest()
         content["albedo_map"] = [file, spec.albedo_map.left_deg, spec.albedo_map.unity, ALBEDO_MAP_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -369,13 +361,6 @@ def _local_shape(spec: LocalSpec, path: Path) -> tuple[FloatArray, IndexArray]:
 
 def _map_path(spec: AlbedoMapSpec, search_dirs: Sequence[Path]) -> Path:
     return find_data_file(spec.file, search_dirs, "shapes", "body.albedo_map.file")
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BoresightError(f"{path}: cannot read the file: {error.strerror or error}") from error
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:

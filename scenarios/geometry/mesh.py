@@ -144,3 +144,16 @@ def solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:
     # atan2 holds for angles beyond a half-space.
     solid: FloatArray = 2.0 * np.arctan2(triple, r_a * r_b * r_c + r_c * dots[0] + r_a * dots[1] + r_b * dots[2])
     return solid
+
+
+def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
+    """Compute the winding number of a closed mesh about a point (3,): 1 inside, 0 outside.
+
+    The sum of the facets' signed solid angles over 4 pi.
+    """
+
+    def angles(faces: slice) -> FloatArray:
+        corners = mesh.vertices_m[mesh.faces[faces]] - point_m
+        return solid_angles(corners, np.linalg.norm(corners, axis=2))
+
+    return float(by_block(angles, np.empty(len(mesh.faces))).sum() / (4.0 * np.pi))

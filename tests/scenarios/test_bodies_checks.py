@@ -9,12 +9,13 @@ from mission_data import needs_data
 from scipy.spatial import ConvexHull
 
 from boresight.scenarios.bodies import body_digest, load_body
-from boresight.scenarios.bodies.load import checked_mesh, evenly_meshed, winding_number
+from boresight.scenarios.bodies.load import checked_mesh, evenly_meshed
 from boresight.scenarios.bodies.readers import RawShape
 from boresight.scenarios.bodies.topology import find_edges, is_closed, vertex_normals
 from boresight.scenarios.cache import Cache
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import winding_number
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.body import BodySpec
 
