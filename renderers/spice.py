@@ -18,7 +18,7 @@ import numpy as np
 import spiceypy
 from numpy.typing import NDArray
 
-from boresight.renderers.images.image_set import check_camera, check_size, files_digest
+from boresight.renderers.images.image_set import WholeSet, check_camera, check_size
 from boresight.renderers.images.product import ImageMetadata, ImageProduct, open_product
 from boresight.scenarios.data import find_data_folder
 from boresight.scenarios.errors import BoresightError
@@ -145,7 +145,7 @@ class _Frame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpiceImageSet:
+class SpiceImageSet(WholeSet):
     """Image set whose poses and directions to the Sun come from SPICE kernels at the middle of each exposure.
 
     All geometry is computed when the set is opened, and the kernels are unloaded. ``version`` enters the digest of
@@ -196,9 +196,6 @@ class SpiceImageSet:
         files = (*kernels, *(path for product in products for path in product.files))
         return cls(camera, spec.truth, frames, files, left_out)
 
-    def __len__(self) -> int:
-        return len(self.frames)
-
     @property
     def names(self) -> tuple[str, ...]:
         """File names of the images, in alphabetical order."""
@@ -227,15 +224,6 @@ class SpiceImageSet:
         image = product.pixels()
         check_size(image, self.camera, product.path)
         return image
-
-    def content_digest(self) -> str:
-        """Hexadecimal SHA-256 of kernels, labels and images."""
-        return files_digest(self.files)
-
-    def check_images(self) -> None:
-        """Read every image, so that a damaged one is found before a campaign starts."""
-        for index in range(len(self)):
-            self.image(index)
 
 
 def _frame_or_reason(product: ImageProduct, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -69,17 +69,30 @@ class ImageSet(Protocol):
         ...
 
 
-def files_digest(paths: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 of the contents of files, in order; `BoresightError` if one cannot be read."""
-    digest = hashlib.sha256()
-    for path in paths:
-        try:
-            about = path.stat()
-            # Digests of files, not their bytes: fixed lengths keep the borders of files apart.
-            digest.update(_file_digest(path, about.st_size, about.st_mtime_ns))
-        except OSError as error:
-            raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return digest.hexdigest()
+class WholeSet:
+    """What every `ImageSet` does alike: count, digest and check its images."""
+
+    __slots__ = ()
+
+    def __len__(self: ImageSet) -> int:
+        return len(self.names)
+
+    def content_digest(self: ImageSet) -> str:
+        """Hexadecimal SHA-256 of every file that results depend on; `BoresightError` if one cannot be read."""
+        digest = hashlib.sha256()
+        for path in self.files:
+            try:
+                about = path.stat()
+                # Digests of files, not their bytes: fixed lengths keep the borders of files apart.
+                digest.update(_file_digest(path, about.st_size, about.st_mtime_ns))
+            except OSError as error:
+                raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return digest.hexdigest()
+
+    def check_images(self: ImageSet) -> None:
+        """Read every image, so that a damaged one is found before a campaign starts."""
+        for index in range(len(self)):
+            self.image(index)
 
 
 @lru_cache(maxsize=4096)
@@ -131,7 +144,7 @@ def _lens_keys(lens: Lens | None) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Selection:
+class Selection(WholeSet):
     """Subset of an image set, in its order; an `ImageSet` too.
 
     ``kept`` are the indices of the used images, ``left_out`` the names of the others, each with the reason.
@@ -140,9 +153,6 @@ class Selection:
     images: ImageSet
     kept: tuple[int, ...]
     left_out: tuple[tuple[str, str], ...]
-
-    def __len__(self) -> int:
-        return len(self.kept)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -169,15 +179,6 @@ class Selection:
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image."""
         return self.images.image(self.kept[index])
-
-    def content_digest(self) -> str:
-        """Digest of the whole set."""
-        return self.images.content_digest()
-
-    def check_images(self) -> None:
-        """Read every used image."""
-        for index in range(len(self)):
-            self.image(index)
 
 
 def split_survey(images: ImageSet, survey: Sequence[str]) -> tuple[Selection, Selection]:

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.renderers.images import colmap
-from boresight.renderers.images.image_set import check_camera, check_size, files_digest
+from boresight.renderers.images.image_set import WholeSet, check_camera, check_size
 from boresight.renderers.images.product import image_files, read_any_image
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file, is_there
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
-from boresight.scenarios.reading import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in
 from boresight.scenarios.spc import read_sumfile
 from boresight.scenarios.spec.scenario import ColmapSpec, ImageSetSpec
 
@@ -68,10 +68,7 @@ class _Row:
     def number(self, column: str) -> float:
         """Return a cell as a finite number."""
         text = self.cells[column] or ""
-        try:
-            value = float(text)
-        except ValueError:
-            value = np.nan
+        value = number_in(text)
         if not np.isfinite(value):
             raise BoresightError(f"{self.place}: {column}: {text!r} is not a finite number")
         if abs(value) > LARGEST_NUMBER:
@@ -94,7 +91,7 @@ def read_table(path: Path, prefixes: Sequence[str], *, adjusted: bool = False) -
     return PoseTable(
         tuple(_files(rows)),
         np.array([row.number("time_s") for row in rows]),
-        np.array([_sun(row) for row in rows]),
+        np.array([_unit(row.numbers(_SUN), f"{row.place}: sun_body_x, _y, _z") for row in rows]),
         {prefix: tuple(_pose(row, prefix) for row in rows) for prefix in prefixes},
         np.stack([_covariance(row, covariances) for row in rows]) if adjusted else None,
     )
@@ -153,10 +150,6 @@ def _files(rows: Sequence[_Row]) -> list[str]:
             raise BoresightError(f"{row.place}: file: {name} appears twice, first at {first[name]}")
         first[name] = row.place
     return list(first)
-
-
-def _sun(row: _Row) -> FloatArray:
-    return _unit(row.numbers(_SUN), f"{row.place}: sun_body_x, _y, _z")
 
 
 def _unit(sun: FloatArray, place: str) -> FloatArray:
@@ -233,7 +226,7 @@ def _table_of_colmap(path: Path, spec: ColmapSpec, prefix: str, camera: Camera) 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosedImageSet:
+class PosedImageSet(WholeSet):
     """Image set whose epochs, directions to the Sun and poses come from files, ``sources``, or from the scenario.
 
     ``adjusted`` is the table of ``images.adjusted``, with its own directions to the Sun.
@@ -294,9 +287,6 @@ class PosedImageSet:
                 raise BoresightError(f"{path}: images.moved: {one.name} puts the body of {name} behind the camera")
         return images
 
-    def __len__(self) -> int:
-        return len(self.table.files)
-
     @property
     def names(self) -> tuple[str, ...]:
         """File names in the order of the table, of ``sumfiles`` or of ``colmap.images``."""
@@ -345,12 +335,3 @@ class PosedImageSet:
         image = read_any_image(path)
         check_size(image, self.camera, path)
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
-
-    def content_digest(self) -> str:
-        """Hexadecimal SHA-256 of the sources and every image; `BoresightError` if one cannot be read."""
-        return files_digest(self.files)
-
-    def check_images(self) -> None:
-        """Read every image, so that a damaged one is found before a campaign starts; `BoresightError` as `image`."""
-        for index in range(len(self)):
-            self.image(index)
