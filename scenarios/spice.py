@@ -21,7 +21,7 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Camera, Pose, RadialDistortion
 from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
 
@@ -179,20 +179,7 @@ _STRAIGHT = 1e-6
 _FOCAL_M, _PIXEL_M = (1e-3, 1.0), (1e-6, 1e-3, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class KernelCamera:
-    """Size, focal lengths and principal point in pixels, and radial distortion at unit focal length; see `Camera`."""
-
-    width_px: int
-    height_px: int
-    focal_px: tuple[float, float]
-    principal_point_px: tuple[float, float]
-    distortion: tuple[float, float] | None
-
-
-def read_camera(
-    kernels: Sequence[str], instrument: str, size_px: tuple[int, int], folders: Sequence[Path]
-) -> KernelCamera:
+def read_camera(kernels: Sequence[str], instrument: str, size_px: tuple[int, int], folders: Sequence[Path]) -> Camera:
     """Read the camera of an instrument from its kernel and addenda.
 
     ``FOV_*`` give the field of view, ``PIXEL_SAMPLES`` and ``PIXEL_LINES`` the size, or else ``size_px``. With
@@ -224,7 +211,7 @@ def read_camera(
     # The boresight divides the field of view; the field begins at the left and upper edge of the image.
     centre = (float(-low[0] * across), float(-low[1] * down))
     if focal is None or pixel is None:
-        return KernelCamera(width_px, height_px, (float(across), float(down)), centre, None)
+        return Camera(width_px, height_px, float(across), float(down), *centre)
     # Focal length over pixel in each pair of units, by the unit of the focal length.
     ratios = [(focal * f / (pixel * p), f) for f, p in product(_FOCAL_M, _PIXEL_M)]
     focal_px, unit_m = min(ratios, key=lambda ratio: abs(np.log(ratio[0] / across)))
@@ -236,8 +223,8 @@ def read_camera(
     if k0 != 0.0:
         raise BoresightError(f"INS{number}_OD_K: k0 = {k0:g} would change the focal length; only 0 is supported")
     focal_mm = 1e3 * unit_m * focal
-    lens = (-k1 * focal_mm**2, -k2 * focal_mm**4) if k1 or k2 else None
-    return KernelCamera(width_px, height_px, (focal_px, focal_px * float(down / across)), centre, lens)
+    lens = RadialDistortion(-k1 * focal_mm**2, -k2 * focal_mm**4) if k1 or k2 else None
+    return Camera(width_px, height_px, focal_px, focal_px * float(down / across), *centre, lens)
 
 
 def _above_zero(constants: Constants, name: str) -> float | None:

@@ -156,9 +156,11 @@ class CameraSpec(SpecModel):
         for key in ("width_px", "height_px"):
             if getattr(self, key) not in {type(self).model_fields[key].default, getattr(read, key)}:
                 raise ValueError(f"{key} {getattr(self, key)} is not the kernel's {getattr(read, key)}: leave it out")
-        lens = None if read.distortion is None else DistortionSpec(k1=read.distortion[0], k2=read.distortion[1])
-        changes = {key: getattr(read, key) for key in ("width_px", "height_px", "focal_px", "principal_point_px")}
-        return self.model_copy(update={**changes, "distortion": self.distortion or lens, "spice": None})
+        lens = read.distortion
+        known = DistortionSpec(k1=lens.k1, k2=lens.k2) if isinstance(lens, RadialDistortion) else None
+        size = {"width_px": read.width_px, "height_px": read.height_px, "focal_px": (read.fx_px, read.fy_px)}
+        place = {"principal_point_px": (read.cx_px, read.cy_px), "distortion": self.distortion or known}
+        return self.model_copy(update={**size, **place, "spice": None})
 
     @rule
     def _distortion_does_not_fold(self) -> None:
