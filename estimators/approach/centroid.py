@@ -7,14 +7,12 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from boresight.estimators.approach.body import BodyView, Patch
-from boresight.estimators.approach.sight import Sighting, SightOptions, centroid_px, estimate_sight
-from boresight.estimators.contract import Assets, Estimate, ImageRenderer
+from boresight.estimators.approach.body import Patch
+from boresight.estimators.approach.sight import SightEstimator, Sighting, SightOptions, centroid_px
+from boresight.estimators.contract import Assets
 from boresight.estimators.landmark.recognizer import ShapeOptions, rendered_mesh
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
 
@@ -22,7 +20,7 @@ class CentroidOptions(ShapeOptions, SightOptions):
     """Options of ``centroid``."""
 
 
-class CentroidEstimator:
+class CentroidEstimator(SightEstimator):
     """Shifts the prior until the brightness centroids of a rendering of the shape and of the image coincide.
 
     The position across the line of sight is measured and fused with the prior; the attitude stays that of the prior.
@@ -54,28 +52,12 @@ class CentroidEstimator:
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
-    def __init__(self, renderer: ImageRenderer, mesh: TriangleMesh, options: CentroidOptions) -> None:
-        self._body, self._options = (renderer, mesh.radius_m, mesh.area_vectors_m2), options
-
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape or the landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
         mesh = rendered_mesh(parsed, assets, cls.name)
-        return cls(assets.mesh_renderer(mesh), mesh, parsed)
-
-    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose by shifting the prior.
-
-        Diagnostics are ``centroid_du_px``, ``centroid_dv_px`` and their length ``centroid_offset_px`` (observed minus
-        rendered, both at the prior pose), ``extent_px`` (longer side of the observed body's bounding box),
-        ``diameter_px`` (of the disc with the observed body's area), ``centroid_iterations``, ``correlation`` of image
-        and rendering, and ``shift_sigma_px``. ``rng`` is not used.
-        """
-        del rng
-        options, frame = self._options, observation.frame
-        view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
-        return estimate_sight(observation, view, CENTROID, options.alignment_loop)
+        return cls(assets.mesh_renderer(mesh), mesh, mesh.radius_m, parsed, CENTROID)
 
 
 def centroid_shift(observed: Patch, rendered: Patch) -> FloatArray:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
-import numpy as np
-
-from boresight.estimators.approach.body import BodyView
 from boresight.estimators.approach.correlation import correlation_shift, correlation_weights
 from boresight.estimators.approach.ellipsoid import Ellipsoid
-from boresight.estimators.approach.sight import Sighting, SightOptions, estimate_sight
-from boresight.estimators.contract import Assets, Estimate, ImageRenderer
+from boresight.estimators.approach.sight import SightEstimator, Sighting, SightOptions
+from boresight.estimators.contract import Assets
 from boresight.estimators.options import parse_options
-from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
+ALIGNMENT = Sighting("alignment", correlation_shift, correlation_weights)
 
-class SilhouetteEstimator:
+
+class SilhouetteEstimator(SightEstimator):
     """Shifts the prior to the greatest correlation of a rendering of the onboard shape with the image.
 
     The position across the line of sight is measured by the peak of the normalised cross-correlation and fused with the
@@ -47,27 +45,11 @@ class SilhouetteEstimator:
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
-    def __init__(
-        self, renderer: ImageRenderer, mesh: TriangleMesh, radius_m: float, options: SightOptions, misfit_m: float = 0.0
-    ) -> None:
-        self._body, self._options = (renderer, radius_m, mesh.area_vectors_m2), options
-        self._sighting = Sighting("alignment", correlation_shift, correlation_weights, misfit_m)
-
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
-        return cls(assets.mesh_renderer(mesh), mesh, mesh.radius_m, parsed)
-
-    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose by shifting the prior; ``rng`` is not used.
-
-        Diagnostics are those of ``centroid``, those of the shift with the name ``alignment``.
-        """
-        del rng
-        options, frame = self._options, observation.frame
-        view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
-        return estimate_sight(observation, view, self._sighting, options.alignment_loop)
+        return cls(assets.mesh_renderer(mesh), mesh, mesh.radius_m, parsed, ALIGNMENT)
 
 
 class LambertCorrelation(SilhouetteEstimator):
@@ -104,4 +86,5 @@ class LambertCorrelation(SilhouetteEstimator):
         """Build from a campaign's options and the axes of the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
         ellipsoid = Ellipsoid.of(mesh)
-        return cls(ellipsoid, mesh, ellipsoid.radius_m, parsed, ellipsoid.misfit_m(mesh))
+        how = replace(ALIGNMENT, misfit_m=ellipsoid.misfit_m(mesh))
+        return cls(ellipsoid, mesh, ellipsoid.radius_m, parsed, how)

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from boresight.estimators.approach.body import RENDERED_PX, BodyView, LitBody, Patch, near
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
-from boresight.estimators.contract import Estimate, Stage, Stopwatch
+from boresight.estimators.contract import Estimate, ImageRenderer, Stage, Stopwatch
 from boresight.estimators.dense.gauss_newton import reduced_camera
 from boresight.estimators.landmark.alignment import AlignmentOptions, translation_update
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Pose, TriangleMesh
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
@@ -108,6 +108,31 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
     fused = fuse(observation, measured, by_pose, covariance_px2)
     return replace(fused, stages=(Stage(how.name, fused.pose or prior),), diagnostics=told, timings_s=clock.seconds)
+
+
+class SightEstimator:
+    """Base of estimators that shift a rendering of a body: what is rendered, how the shift is measured, the options.
+
+    ``renderer`` draws what is within ``radius_m`` of the body's origin; ``mesh`` is the onboard shape.
+    """
+
+    def __init__(
+        self, renderer: ImageRenderer, mesh: TriangleMesh, radius_m: float, options: SightOptions, how: Sighting
+    ) -> None:
+        self._body, self._options, self._how = (renderer, radius_m, mesh.area_vectors_m2), options, how
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose by shifting the prior; ``rng`` is not used.
+
+        Diagnostics are, with the stage's name in place of NAME, ``NAME_du_px``, ``NAME_dv_px`` and their length
+        ``NAME_offset_px`` (observed minus rendered, both at the prior pose), ``NAME_iterations``, ``extent_px`` (longer
+        side of the observed body's bounding box), ``diameter_px`` (of the disc with the observed body's area),
+        ``correlation`` of image and rendering, and ``shift_sigma_px``.
+        """
+        del rng
+        options, frame = self._options, observation.frame
+        view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
+        return estimate_sight(observation, view, self._how, options.alignment_loop)
 
 
 def _calibration(observation: Observation, pose: Pose) -> FloatArray:

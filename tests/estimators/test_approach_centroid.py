@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
-from boresight.estimators.approach.centroid import CentroidEstimator, CentroidOptions
+from boresight.estimators.approach.centroid import CENTROID, CentroidEstimator, CentroidOptions
 from boresight.estimators.dense.photometric import PhotometricOptions
 from boresight.scenarios.bodies.embedded import icosphere
 from boresight.scenarios.errors import BoresightError
@@ -31,7 +31,8 @@ def observed(shift_m=(0.0, 0.0, 0.0), image=None):
 
 
 def estimate(observation, **options):
-    aligner = CentroidEstimator(Ball(), icosphere(3, RADIUS_M), CentroidOptions(blur_px=0.0, **options))
+    wanted = CentroidOptions(blur_px=0.0, **options)
+    aligner = CentroidEstimator(Ball(), icosphere(3, RADIUS_M), RADIUS_M, wanted, CENTROID)
     return aligner.estimate(observation, rng=np.random.default_rng(0))
 
 
