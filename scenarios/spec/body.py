@@ -131,19 +131,13 @@ class DetailSpec(SpecModel):
     site: SiteSpec | None = optional("A place, as a landing site, that has finer facets")
 
 
-class HeightErrorSpec(SpecModel):
+class HeightErrorSpec(RoughnessSpec):
     """Random height error: a fractal field along the normals, typical of stereo and shape-from-shading models."""
 
     rms_m: float = Field(ge=0, description="RMS of the error")
     max_wavelength_m: float = length(30.0, "Longest scale of the error", body=0.06, gt=0)
     min_wavelength_m: float = length(5.0, "Shortest scale of the error", body=0.01, gt=0)
-    hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
     seed: int = Field(0, ge=0, description="Seed of the error")
-
-    @rule
-    def _check(self) -> None:
-        if self.min_wavelength_m > self.max_wavelength_m:
-            raise ValueError("min_wavelength_m is above max_wavelength_m")
 
 
 class LocalSpec(SpecModel):
