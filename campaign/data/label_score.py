@@ -85,7 +85,9 @@ def match_labels(
     # A false alarm below the least size could be a crater that nobody labelled: it has no say.
     large = rims.radius_px >= radius_min_px
     counted = (label != NONE) | large
-    isolated = _isolated(labels)
+    # Isolated: without another centre within two radii, infinitely far where there is no other; a label is its nearest.
+    apart = np.asarray(cKDTree(labels.centre_px).query(labels.centre_px, k=2)[0])[:, 1]
+    isolated = np.asarray(apart > _ISOLATED_RADII * labels.radius_px)
     return LabelMatches(
         confidence[counted], label[counted], large[counted], ratio[counted], offset[counted], labels.radius_px[big],
         _contrast(image, labels)[big], isolated[big],
@@ -97,13 +99,6 @@ def _with_rejected(found: CraterDetections) -> CraterDetections:
     rejected = found.rejected or CraterDetections.none()
     rims = Ellipses.joined([found.ellipses, rejected.ellipses])
     return CraterDetections(rims, np.concatenate([found.confidence, rejected.confidence]))
-
-
-def _isolated(labels: Ellipses) -> BoolArray:
-    """Say which labels (n,) have no other label's centre within two of their radii."""
-    # The second nearest, as each is its own nearest; infinitely far where there is no other.
-    apart = np.asarray(cKDTree(labels.centre_px).query(labels.centre_px, k=2)[0])[:, 1]
-    return np.asarray(apart > _ISOLATED_RADII * labels.radius_px)
 
 
 def _contrast(image: Image, labels: Ellipses) -> FloatArray:

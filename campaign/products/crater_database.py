@@ -79,14 +79,10 @@ def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
 
 
-def _versions() -> list[int]:
-    return [VERSION, crater_matcher_class(_MATCHER).version, *named_detector_versions()]
-
-
 PRODUCTS = {
     "crater-database": ProductKind(
         options=CraterDatabaseOptions,
-        versions=_versions,
+        versions=lambda: [VERSION, crater_matcher_class(_MATCHER).version, *named_detector_versions()],
         announce=lambda options: f"{options.images} images",
         build=build,
         load=CraterDatabase.load,

@@ -110,7 +110,8 @@ def build_descriptors(
 ) -> Mapping[str, object]:
     """Build the data base of features of images, de-projected onto the believed body, and store it in ``folder``."""
     if options.source == "survey":
-        found = _features_of_survey(scenario, options, variant)
+        images = survey_images(scenario, variant)
+        found = [(view_features(one.pixels, one.view, one.deproject, options), False) for one in images]
     else:
         found = map_images(jobs, options.images, _features_of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
@@ -126,14 +127,6 @@ def _features_of_images(
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
         for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
     ]
-
-
-def _features_of_survey(
-    scenario: LoadedScenario, options: DescriptorOptions, variant: str
-) -> list[tuple[ViewFeatures, bool]]:
-    """Find the features of the real images of a survey, with their reference poses."""
-    images = survey_images(scenario, variant)
-    return [(view_features(image.pixels, image.view, image.deproject, options), False) for image in images]
 
 
 def build_maplet_database(

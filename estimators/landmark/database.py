@@ -35,7 +35,7 @@ from boresight.estimators.landmark.hull import concave_hull
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.reading import LARGEST_NUMBER, read_json
+from boresight.scenarios.reading import LARGEST_NUMBER, number_in, read_json
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import CameraSpec
 
@@ -89,15 +89,12 @@ class LandmarkDatabase:
         """Return the mesh over the landmarks."""
         return TriangleMesh(self.means_m, self.facets)
 
-    def landmarks_frame(self) -> pd.DataFrame:
-        """One row a landmark, with the columns of ``landmarks.csv``."""
-        columns = np.column_stack([self.means_m, self.covariances_m2[:, _UPPER[0], _UPPER[1]]])
-        return pd.DataFrame(columns, columns=_MEAN + _COVARIANCE).assign(**{_COUNT: self.n_observations})
-
     def save(self, folder: Path) -> None:
         """Write the three files into ``folder``, which is made if absent."""
         folder.mkdir(parents=True, exist_ok=True)
-        self.landmarks_frame().to_csv(folder / "landmarks.csv", index=False, float_format="%.17g")
+        columns = np.column_stack([self.means_m, self.covariances_m2[:, _UPPER[0], _UPPER[1]]])
+        landmarks = pd.DataFrame(columns, columns=_MEAN + _COVARIANCE).assign(**{_COUNT: self.n_observations})
+        landmarks.to_csv(folder / "landmarks.csv", index=False, float_format="%.17g")
         pd.DataFrame(self.facets, columns=_FACET).to_csv(folder / "facets.csv", index=False)
         head = {"format": FORMAT, "version": FORMAT_VERSION, "provenance": dict(self.provenance)}
         (folder / "database.json").write_text(json.dumps(head, indent=2) + "\n", encoding="utf-8")
@@ -165,14 +162,6 @@ def _read_head(path: Path) -> Mapping[str, object]:
     return provenance
 
 
-def _number(text: object) -> float:
-    """Parse a number; NaN if the text is none."""
-    try:
-        return float(str(text))
-    except ValueError:
-        return float("nan")
-
-
 def _read_table(path: Path, columns: list[str]) -> FloatArray:
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
@@ -180,7 +169,7 @@ def _read_table(path: Path, columns: list[str]) -> FloatArray:
         raise BoresightError(f"{path}: cannot be read as a table: {one_line(error)}") from error
     if list(table.columns) != columns:
         raise BoresightError(f"{path}: the columns must be {columns}, not {[str(name) for name in table.columns]}")
-    numbers = np.array([[_number(text) for text in row] for row in table.to_numpy()]).reshape(-1, len(columns))
+    numbers = np.array([[number_in(text) for text in row] for row in table.to_numpy()]).reshape(-1, len(columns))
     bad = np.argwhere(~(np.abs(numbers) <= LARGEST_NUMBER))
     if len(bad):
         row, column = bad[0]

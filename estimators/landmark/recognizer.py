@@ -162,11 +162,6 @@ class RecognitionOptions(SpecModel):
         " rendered at it correlates no worse with the image than at the aligned pose, which is the answer otherwise",
     )
 
-    @property
-    def image_corners(self) -> CornerOptions:
-        """Options of corners in an observed image: those of the data base by default."""
-        return self.corners or self.database.corners
-
 
 class LandmarkOptions(RecognitionOptions):
     """Options of ``landmark-harris``."""
@@ -337,7 +332,7 @@ class LandmarkRecognizer:
         if alignment.failure:
             return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
         with clock("feature_extraction"):
-            corners = detect_corners(frame.image, options.image_corners)
+            corners = detect_corners(frame.image, options.corners or options.database.corners)
         with clock("recognition"):
             solution = solve_pose(self._database, camera, alignment.T_cam_body, corners.uv_px, options.pose)
         if solution.fit is None:

@@ -335,7 +335,9 @@ class BatchFilter(Configured[OrbitOptions]):
 
     def _fit_robustly(self, arc: DataArc, solution: BatchState) -> tuple[BatchState, GaussNewtonResult, int]:
         """Adjust with Huber's loss, scaled by the residuals, until the scale stops decreasing."""
-        scale, steps = _initial_scale(arc, solution), 0
+        unknowns = arc.unknowns(solution)
+        residuals = arc.model.sightings(unknowns, arc.model.propagate(unknowns.x)).residuals
+        scale, steps = _residual_scale(np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px), 0
         limits = StoppingCriteria(self.options.iterations, 1.0, _COARSE_SHARE)
         for _ in range(_MAX_SCALES):
             robust = HuberLoss(self.options.huber_sigma, scale)
@@ -375,13 +377,6 @@ def _arc_ends(first_s: float, growth: float, last_s: float) -> list[float]:
 def _residual_scale(lengths: FloatArray) -> float:
     """Return the robust scale of residuals of these lengths (K,), in sigmas; at least 1."""
     return max(1.0, float(np.median(lengths)) / _RAYLEIGH_MEDIAN) if len(lengths) else 1.0
-
-
-def _initial_scale(arc: DataArc, solution: BatchState) -> float:
-    """Return the same scale before the first step."""
-    unknowns = arc.unknowns(solution)
-    residuals = arc.model.sightings(unknowns, arc.model.propagate(unknowns.x)).residuals
-    return _residual_scale(np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px)
 
 
 def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> tuple[FloatArray, FloatArray]:

@@ -207,16 +207,12 @@ class WindowSmoother:
         """Place the first view, and its landmarks provisionally at the measured distance."""
         self.slam_map.positions_m[0] = self.first_m.copy()
         estimate = self.slam_map.first_estimate(self.first_covariance_m2)
-        self._set_first_prior()
-        return estimate
-
-    def _set_first_prior(self) -> None:
-        """Set the prior of the first position and of the field."""
         if self.first_is_free:
             self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
         self.prior = self.slam_map.errors.prior(self.prior)
         if self.slam_map.errors.field_m:
             self.slam_map.positions_m[FIELD] = np.zeros(3)
+        return estimate
 
     def _problem(self, tracks: list[int]) -> Adjustment:
         """Return the adjustment of the window's views and of ``tracks``."""
