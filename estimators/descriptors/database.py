@@ -21,7 +21,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View, pixel_from_opencv
 from boresight.scenarios.reading import LARGEST_NUMBER
-from boresight.scenarios.spec.base import SpecModel, rule
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 
 Kind = Literal["sift", "orb"]
 DESCRIPTOR_BYTES = {"sift": 128, "orb": 32}
@@ -97,10 +97,8 @@ def match_features(
 class DescriptorViewOptions(SpecModel):
     """Options of the images of a data base of descriptors, and of the features in them."""
 
-    source: Literal["rendered", "survey"] = Field(
-        "rendered",
-        exclude_if=lambda value: value == "rendered",
-        description="Images of the data base: rendered, or the real ones of the scenario's images.survey",
+    source: Literal["rendered", "survey"] = optional(
+        "Images of the data base: rendered, or the real ones of the scenario's images.survey", "rendered"
     )
     images: int = Field(200, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")

@@ -15,7 +15,7 @@ from boresight.estimators.contract import NoProductError
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.base import SpecModel, length
+from boresight.scenarios.spec.base import SpecModel, length, optional
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 2
@@ -28,11 +28,10 @@ _EDGE_TOLERANCE = 1e-9
 class MapletOptions(SpecModel):
     """Options of the maplets of a shape."""
 
-    source: Literal["shape", "survey"] = Field(
-        "shape",
-        exclude_if=lambda value: value == "shape",
-        description="Albedo of the maplets: the shape's, or that with which they look like the real images of the"
+    source: Literal["shape", "survey"] = optional(
+        "Albedo of the maplets: the shape's, or that with which they look like the real images of the"
         " scenario's images.survey; only places in these are then covered",
+        "shape",
     )
     spacing_m: float = length(2.4, "Between neighbouring heights", px=1.9, body=0.01, gt=0)
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")

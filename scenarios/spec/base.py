@@ -44,9 +44,9 @@ PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
 """Any JSON value with finite numbers, for keys whose type the schema leaves open."""
 
 
-def optional(description: str, **bounds: Any) -> Any:
-    """Describe a field that is None, and no part of the digest, where it is left out."""
-    return Field(None, exclude_if=lambda value: value is None, description=description, **bounds)
+def optional(description: str, default: object = None, **bounds: Any) -> Any:
+    """Describe a field that is None, or a default, and no part of the digest, where it is left out."""
+    return Field(default, exclude_if=lambda value: value == default, description=description, **bounds)
 
 
 Model = TypeVar("Model", bound=BaseModel)

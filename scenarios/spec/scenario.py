@@ -107,21 +107,13 @@ class ImageSetSpec(SpecModel):
         description="Those of truth and also_score that were found by aligning renderings of the shape with the images:"
         " reports say that errors against them are correlated with those of methods that do the same",
     )
-    moved: tuple[MovedPosesSpec, ...] = Field(
-        (), exclude_if=lambda value: not value, description="Further poses, with the shape in another place"
+    moved: tuple[MovedPosesSpec, ...] = optional("Further poses, with the shape in another place", ())
+    adjusted: AdjustedPosesSpec | None = optional("Further poses, with covariances that enter NEES")
+    rendered: bool = optional(
+        "Render the views of the images with the pose of truth, through detector, in place of reading them", False
     )
-    adjusted: AdjustedPosesSpec | None = Field(
-        None, exclude_if=lambda value: value is None, description="Further poses, with covariances that enter NEES"
-    )
-    rendered: bool = Field(
-        False,
-        exclude_if=lambda value: not value,
-        description="Render the views of the images with the pose of truth, through detector, in place of reading them",
-    )
-    survey: tuple[str, ...] = Field(
-        (),
-        exclude_if=lambda value: not value,
-        description="Images of the set that are for data bases of methods (source: survey), not for trials",
+    survey: tuple[str, ...] = optional(
+        "Images of the set that are for data bases of methods (source: survey), not for trials", ()
     )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
     keep_clear_px: tuple[Rectangle, ...] = Field(

@@ -48,12 +48,10 @@ class ViewpointSpec(DrawnModel):
         (),
         description="Rectangles [left, top, right, bottom] of the detector; a view with the body in one is drawn anew",
     )
-    targets: tuple[Literal["nadir", "limb", "terminator"], ...] = Field(
-        (),
-        # Excluded from digests if not given: keeps the digests of views without it.
-        exclude_if=lambda targets: not targets,
-        description="Point at sunlit ground, each kind as often: below the camera, near the lit limb (emission 50 to 70"
+    targets: tuple[Literal["nadir", "limb", "terminator"], ...] = optional(
+        "Point at sunlit ground, each kind as often: below the camera, near the lit limb (emission 50 to 70"
         " deg) or near the terminator (incidence 55 to 75 deg); at the body's centre where none is given",
+        (),
     )
 
     @rule
@@ -105,10 +103,8 @@ class LightingSpec(DrawnModel):
     limits: ClassVar = {"phase_deg": Limits(0.0, 180.0), "brightness": Limits(0.0, rms=1e6)}
 
     phase_deg: Scalar = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
-    brightness: PositiveScalar = Field(
-        1.0,
-        exclude_if=lambda brightness: brightness == 1.0,
-        description="Factor on the radiance of each image, one or drawn: albedo, distance of the Sun, calibration",
+    brightness: PositiveScalar = optional(
+        "Factor on the radiance of each image, one or drawn: albedo, distance of the Sun, calibration", 1.0
     )
     measure: Literal["solid-angle", "angle"] = Field(
         "solid-angle",
