@@ -27,7 +27,7 @@ from boresight.campaign.threads import one_blas_thread
 from boresight.estimators.contract import ImageRenderer, NoProductError
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.atomic import explain_write_error
-from boresight.scenarios.bodies import load_body
+from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.errors import BoresightError, MachineError, text_of
 from boresight.scenarios.geometry import Camera, TriangleMesh
@@ -127,7 +127,8 @@ class BuiltAssets:
     ``folder`` is ``RUN/products``, with a folder for each product, so that a run is self-contained. With ``jobs`` None,
     in a worker, nothing is built, and a missing product is an error. ``report`` is called with a message before and
     after each build. ``draft`` is the fraction of the images of data bases, see `as_draft`, ``database`` the
-    number of the data base, see `campaign.products.databases`.
+    number of the data base, see `campaign.products.databases`. The last shape is held in ``kept``: the next method, and
+    with a list for several scenarios the next of these, mostly asks for the same one.
     """
 
     def __init__(
@@ -139,6 +140,7 @@ class BuiltAssets:
         report: Callable[[str], None] | None = None,
         draft: float = 1.0,
         database: int = 0,
+        kept: list[Body] | None = None,
     ) -> None:
         self._true_scenario = scenario
         self._database = database
@@ -150,6 +152,7 @@ class BuiltAssets:
         self._draft = draft
         self._used: list[tuple[str, str]] = []
         self._uses_shape = False
+        self._kept = [] if kept is None else kept
 
     def for_estimator(self) -> EstimatorAssets:
         """Return what an estimator gets of these assets."""
@@ -158,7 +161,7 @@ class BuiltAssets:
     def for_database(self, database: int = 0) -> BuiltAssets:
         """Return the same assets for a data base, with no product used yet."""
         return BuiltAssets(
-            self._true_scenario, self._folder, self.jobs, self._variant, self.report, self._draft, database
+            self._true_scenario, self._folder, self.jobs, self._variant, self.report, self._draft, database, self._kept
         )
 
     @property
@@ -175,7 +178,8 @@ class BuiltAssets:
     def shape(self) -> TriangleMesh:
         """Return the full believed shape."""
         self._uses_shape = True
-        return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
+        self._kept[:] = [load_body(self._scenario.spec.body, self._scenario.search_dirs)]
+        return self._kept[0].mesh
 
     def stars(self) -> StarCatalog:
         """Return the catalogue of the scenario's stars; raise `NoProductError` if it has none."""

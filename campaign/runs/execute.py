@@ -28,6 +28,7 @@ from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext, k
 from boresight.campaign.trial.runner import unbuilt_products
 from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.tables import TABLES
+from boresight.scenarios.bodies import Body
 from boresight.scenarios.errors import BoresightError
 
 Tell = Callable[[str], None]
@@ -195,10 +196,10 @@ def build_products(
 ) -> list[BuiltProduct | MissingProduct]:
     """Build what the trials need, before any of them."""
     kind = kind_named(campaign.spec.experiment)
-    products: list[BuiltProduct | MissingProduct] = []
+    products, kept = list[BuiltProduct | MissingProduct](), list[Body]()
     for scenario in campaign.scenarios:
         place = request.out / "products"
-        assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft)
+        assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft, kept=kept)
         products += unbuilt_products(scenario, kind.build_methods(campaign, scenario))
         products += kind.prepare(campaign, scenario, assets)
     return products
