@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, JsonValue
 
-from boresight.estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
+from boresight.estimators.contract import Assets, Estimate, Estimator, Predictor, Stage, Stopwatch
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
@@ -225,6 +225,17 @@ class AltimeterEstimator:
                 " choose an estimator on landmarks"
             )
         return cls(base, database, parsed)
+
+    def predict(self, planned: Observation) -> FloatArray | None:
+        """Predict the covariance (6, 6) of the base, which must predict, with an agreeing range; see `Predictor`."""
+        covariance = self._base.predict(planned) if isinstance(self._base, Predictor) else None
+        pose, reading = planned.frame.prior_T_cam_body, planned.frame.altimeter
+        met = boresight_range(self._ground, pose)
+        if covariance is None or reading is None or met is None:
+            return covariance
+        agreeing = RangeReading(met.range_m, reading.sigma_m)
+        fused = fuse_range((pose, covariance), agreeing, self._ground, self._height_sigma_m, adaptive=False)
+        return covariance if fused is None else fused.covariance
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate with the base, then update with the range where there is one."""

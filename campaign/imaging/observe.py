@@ -19,8 +19,8 @@ from boresight.scenarios.spec.scenario import ScenarioSpec
 T = TypeVar("T", bound=np.generic)
 
 
-def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> RangeReading | None:
-    """Measure the distance from the camera along its boresight to the true surface.
+def altimeter_reading(world: World, view: View, rng: np.random.Generator | None) -> RangeReading | None:
+    """Measure the distance from the camera along its boresight to the true surface; without ``rng`` it has no error.
 
     The reading is None if the scenario has no altimeter or the boresight misses the body.
     """
@@ -32,7 +32,8 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
     if not hits.hit[0]:
         return None
     range_m = float(np.linalg.norm(hits.points_body_m[0] - view.T_cam_body.camera_position_m))
-    return RangeReading(range_m + float(rng.normal(0.0, altimeter.sigma_m)), altimeter.sigma_m)
+    error_m = 0.0 if rng is None else float(rng.normal(0.0, altimeter.sigma_m))
+    return RangeReading(range_m + error_m, altimeter.sigma_m)
 
 
 def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Observation:
@@ -62,7 +63,8 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
 def plan(world: World, seed: int, trial: int) -> Observation:
     """Create the observation of a trial without its image, for predictions: the view is that of the trial.
 
-    Its prior pose is the drawn one, without an error; the covariance is the one that the spacecraft believes in there.
+    Its prior pose is the drawn one and its range the true one, without errors; the covariance is the one that the
+    spacecraft believes in there.
     """
     spec, view = world.scenario.spec, world.source.view(seed, trial)
     pose, viewpoint, velocity_m_s = view.T_cam_body, spec.viewpoint, None
@@ -73,6 +75,7 @@ def plan(world: World, seed: int, trial: int) -> Observation:
         sun_dir_cam=_read_only(pose.rotate(view.sun_dir_body)),
         prior_T_cam_body=pose,
         prior_covariance=_read_only(prior_covariance(spec.believed_pose_error, pose, world.camera, velocity_m_s)),
+        altimeter=altimeter_reading(world, view, None),
     )
     return Observation(onboard_camera(spec).pinhole, frame, _camera_sigma(spec))
 

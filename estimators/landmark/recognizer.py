@@ -25,6 +25,7 @@ from boresight.estimators.landmark.alignment import (
 from boresight.estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.estimators.landmark.matching import Matches, inverse_2x2, match_landmarks, matched_table
+from boresight.estimators.landmark.planned import planned_problem
 from boresight.estimators.landmark.pose.problem import (
     MIN_LANDMARKS,
     MarquardtOptions,
@@ -351,6 +352,18 @@ class LandmarkRecognizer:
                 )
         failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
         return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, correlations)
+
+    def predict(self, planned: Observation) -> FloatArray | None:
+        """Predict the covariance (6, 6) without wrong matches, see `Predictor` and `planned_problem`.
+
+        The result is None also with the closed form alone: it is no least-squares fit.
+        """
+        problem = planned_problem(self._database, planned)
+        if problem is None or self._options.pose.method == "closed-form":
+            return None
+        pose = planned.frame.prior_T_cam_body
+        covariance = pose_covariance(problem, pose)
+        return covariance + planned.calibration_covariance(pose) if np.isfinite(covariance).all() else None
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose; ``rng`` is not used."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tiny_campaign import SCENE, write_campaign
+from tiny_campaign import DATABASE, SCENE, write_campaign
 from tiny_sequences import write_sequences
 
 from boresight.campaign.cli import main
@@ -52,6 +52,21 @@ def test_the_limb_is_predicted_without_an_image(cache, tmp_path, capsys, monkeyp
     assert main(["predict", str(file), "--trials", "3"]) == 0
     printed = capsys.readouterr().out
     assert "range, m" in printed and "3 / 3" in printed and "no predictor: prior" in printed
+
+
+def test_landmarks_are_predicted_with_the_range_of_an_altimeter(cache, tmp_path):
+    text = (
+        "scenarios: [scene]\nestimators:\n"
+        f"  - landmark-harris: &harris {{database: {DATABASE}}}\n"
+        "  - landmark-altimeter: {height_sigma_m: 0.1, options: *harris}\n"
+        "  - landmark-altimeter: {label: on-sift, base: landmark-sift}\n"
+        "trials: 3\nseed: 5\n"
+    )
+    file = write_campaign(tmp_path, text, SCENE + "sensors: {altimeter: {sigma_m: 0.1}}\n")
+    campaign, others = with_predictors(resolve(str(file), variant=choose_variant().name))
+    assert others == ["on-sift"]  # the base has no predictor
+    found = predict_errors(campaign, 3, tmp_path / "products", print).set_index(["estimator", "trial"])["range_m"]
+    assert found.notna().all() and (found["landmark-altimeter"] < 0.8 * found["landmark-harris"]).all()
 
 
 def test_an_estimator_without_a_predictor_alone_is_refused(orbits, capsys):

@@ -235,7 +235,8 @@ class SingleImage(ImageMethods[ImageDraw, Estimate]):
 
     @classmethod
     def predicts(cls, entry: EstimatorSpec) -> bool:
-        return hasattr(estimator_class(entry.name), "predict")
+        """Whether an estimator predicts, and all those that it builds on."""
+        return all(hasattr(estimator_class(name), "predict") for name in cls.method_names(entry))
 
     def predictors(self, trial: int) -> Mapping[str, Prediction]:
         """Plan the observation of a trial, without an image."""

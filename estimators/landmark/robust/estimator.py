@@ -23,7 +23,9 @@ from boresight.estimators.landmark.alignment import (
 from boresight.estimators.landmark.corners import CornerOptions, detect_corners
 from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.estimators.landmark.matching import matched_table
+from boresight.estimators.landmark.planned import planned_problem
 from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.landmark.pose.problem import minimal_jacobian
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import visible_landmarks
 from boresight.estimators.landmark.recognizer import POINT_PAIRS, landmark_database
@@ -161,6 +163,20 @@ class ConsensusRecognizer:
             diagnostics=_diagnostics(solution, len(landmark)),
             timings_s=clock.seconds,
         )
+
+    def predict(self, planned: Observation) -> FloatArray | None:
+        """Predict the covariance (6, 6) by landmarks and prior, see `Predictor` and `planned_problem`.
+
+        It has the factors of the options on the covariances, and no information of the alignment.
+        """
+        options, pose = self._options, planned.frame.prior_T_cam_body
+        mixture = options.mixture
+        problem = planned_problem(self._database, planned, mixture.covariance_scale, mixture.corner_sigma_px)
+        if problem is None:
+            return None
+        seen, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
+        bound = np.linalg.inv(seen + np.linalg.inv(floor_variances(planned.frame.prior_covariance)))
+        return np.asarray(options.covariance_scale * bound + planned.calibration_covariance(pose))
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
         """Solve for the pose, or return the reason why there is none."""
