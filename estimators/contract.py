@@ -161,7 +161,9 @@ class Estimator(Protocol):
 class Predictor(Protocol):
     """An estimator that predicts its covariance without an image: an optional part of the contract.
 
-    Estimators of sequences and orbits may have a ``predict`` as well, see their contracts.
+    Estimators of sequences and orbits may have a ``predict`` as well, see their contracts. For the orbit of an approach
+    an estimator also needs ``predict_estimate(planned) -> Estimate | None``: the same covariance with the ``common``
+    error, or None.
     """
 
     def predict(self, planned: Observation) -> NDArray[np.float64] | None:

@@ -195,7 +195,12 @@ class LimbEstimator:
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)
 
     def predict(self, planned: Observation) -> FloatArray | None:
-        """Predict the covariance (6, 6) by the lit limb at the planned pose; see `Predictor`.
+        """Predict the covariance (6, 6) by the lit limb at the planned pose; see `Predictor`."""
+        found = self.predict_estimate(planned)
+        return None if found is None else found.covariance
+
+    def predict_estimate(self, planned: Observation) -> Estimate | None:
+        """Predict covariance and common error by the lit limb at the planned pose, which is that of the result.
 
         The points have errors of `_POINT_PX` that are independent, and the bias of the options. Result None where the
         outline reaches the border of the frame: the bias is then that of the misfit, which geometry does not tell.
@@ -215,8 +220,11 @@ class LimbEstimator:
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])
         noise = _POINT_PX**2 * by_pose[:, 3:]
         noise += _bias_covariance(self._options.bias_px, points.by_position, points.ray * _ARCS // count)
-        covariance = fuse(planned, np.zeros(3), by_pose, noise).covariance
-        return None if covariance is None else covariance + planned.calibration_covariance(pose)
+        common = np.sqrt(0.5) * self._options.bias_px * points.by_position.sum(axis=0)
+        found = fuse(planned, np.zeros(3), by_pose, noise, common)
+        if found.covariance is None:
+            return None
+        return replace(found, covariance=found.covariance + planned.calibration_covariance(pose))
 
     def _limb_at(self, scene: _Plan, pose: Pose, centre_px: FloatArray) -> LimbPoints | None:
         """Points of the lit limb at a pose, on the rays from a centre; None without any."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +13,9 @@ from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.prior import shares_of_prior
 from boresight.scenarios.arrays import FloatArray, Image, IndexArray
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.geometry.pose import cross_matrix
-from boresight.scenarios.observation import Frame
+from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, PositionFixes, Radiometry
 
 _LEAST_GAIN = 0.1
@@ -155,6 +156,38 @@ class ApproachNavigator:
         information = np.array([one.information for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3, 3)
         common = np.array([one.common_m for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3)
         return PositionFixes(rows, positions, information, common)
+
+
+def predict_orbit(
+    task: ApproachTask,
+    orbit: BatchFilter,
+    camera: Camera,
+    views: Sequence[View],
+    predict: Callable[[Observation], Estimate | None],
+) -> FloatArray | None:
+    """Predict the covariance (6, 6) of the state at the epoch, m and m/s, from the views (I) of all images.
+
+    ``predict`` gives the covariance of the estimate in a view, with the error that is common to all, or None where it
+    has none. Each fix is the position of the body in its view, without an error of the estimate. The result is None if
+    there are too few fixes, or the filter accepts no orbit.
+    """
+    navigator, nothing = ApproachNavigator(task, orbit), np.zeros((0, 0), dtype=np.float32)
+    for number, view in enumerate(views):
+        frame = navigator.frame(number, nothing)
+        if frame is None:
+            return None
+        true, prior, before = view.T_cam_body, frame.prior_T_cam_body, frame.prior_covariance[3:, 3:]
+        sun_dir = true.rotate(view.sun_dir_body)
+        found = predict(Observation(camera, replace(frame, sun_dir_cam=sun_dir, prior_T_cam_body=true)))
+        estimate = Estimate("failed", "the view allows no estimate")
+        if found is not None and found.covariance is not None:
+            # The gain of the estimate times the error of the prior: the fix that `add` takes from it has no error then.
+            off_m = true.transform(task.centre_of_mass_m) - prior.transform(task.centre_of_mass_m)
+            step_m = off_m - found.covariance[3:, 3:] @ np.linalg.solve(before, off_m)
+            estimate = replace(found, pose=replace(prior, translation_m=prior.translation_m + step_m))
+        navigator.add(number, frame, estimate)
+    result = navigator.result()[0]
+    return None if result.status != "ok" or result.orbit is None else result.orbit.covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

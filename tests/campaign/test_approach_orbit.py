@@ -49,6 +49,16 @@ def test_each_estimator_feeds_an_orbit_of_its_own(out):
     assert orbits[["residual_rms_px", "wrong_left_share"]].isna().all(axis=None)
 
 
+def test_the_orbit_is_predicted_without_an_image(out, capsys, monkeypatch):
+    monkeypatch.setattr("boresight.campaign.imaging.image_store.Imager.image", None)
+    assert main(["predict", str(out.parent / "campaign" / "tiny.yaml"), "--run", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "no predictor: prior, centroid" in printed
+    (line,) = (line for line in printed.splitlines() if line.startswith("approach-orbit"))
+    predicted, _, _, _, _, _, stated = line.split("position, m")[1].split()[:7]
+    assert float(predicted) == pytest.approx(float(stated), rel=0.2)
+
+
 def test_it_is_reported_and_inspected(out):
     assert main(["report", str(out)]) == 0
     text = (out / "report" / "report.md").read_text()

@@ -15,13 +15,13 @@ from scipy.stats import chi2
 from boresight.estimators.contract import Estimate
 from boresight.estimators.orbit import fixes as fixes_module
 from boresight.estimators.orbit.batch_filter import BatchFilter, BatchState, DataArc
-from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask, measurement_of
+from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask, measurement_of, predict_orbit
 from boresight.estimators.orbit.model import measured_directions
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.scenarios.dynamics.field import HarmonicField
 from boresight.scenarios.dynamics.gravity import Harmonics
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.orbits.data import PositionFixes
 from boresight.scenarios.orbits.draw import draw_knowledge
 from boresight.scenarios.orbits.true_orbit import epochs_s, pointed_at, propagate_truth
@@ -274,6 +274,36 @@ def test_priors_of_the_orbit_are_not_counted_twice(common):
     sigma = np.sqrt(np.diag(direct.orbit.covariance))
     np.testing.assert_allclose((found.orbit.state - direct.orbit.state) / sigma, 0.0, atol=0.05)
     np.testing.assert_allclose(np.sqrt(np.diag(found.orbit.covariance)) / sigma, 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize("seen", [IMAGES, 2])
+def test_a_predicted_covariance_is_that_of_a_dense_fit(seen):
+    """The estimator, which sees the views alone, tells what it would add to each prior."""
+    attitudes, known, fixes = drawn(4)
+    camera, turns = Camera(64, 64, 600.0, 600.0, 32.0, 32.0), known.field.rotation.at(FLOWN.times_s)
+    poses = [
+        Pose(attitude @ turn.T, position)
+        for attitude, turn, position in zip(attitudes, turns, fixes.position_cam_m, strict=True)
+    ]
+    views = [View(camera, pose, turn @ WORLD.sun_dir) for pose, turn in zip(poses, turns, strict=True)]
+
+    def predict(planned):
+        number = int(np.searchsorted(FLOWN.times_s, planned.frame.time_s))
+        np.testing.assert_array_equal(planned.frame.prior_T_cam_body.translation_m, poses[number].translation_m)
+        np.testing.assert_allclose(planned.frame.sun_dir_cam, attitudes[number] @ WORLD.sun_dir)
+        if number >= seen:
+            return None
+        covariance = planned.frame.prior_covariance.copy()
+        covariance[3:, 3:] = np.linalg.inv(np.linalg.inv(covariance[3:, 3:]) + fixes.information[number])
+        return Estimate("ok", covariance=covariance)
+
+    found = predict_orbit(task_of(attitudes, known), FILTER, camera, views, predict)
+    if seen < 3:
+        assert found is None
+        return
+    _, covariance = dense(attitudes, known, fixes)
+    sigma = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=0.03)
 
 
 def test_the_prior_of_an_image_has_the_errors_of_attitude_and_spin():

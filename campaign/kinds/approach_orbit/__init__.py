@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,13 +27,13 @@ from boresight.campaign.kinds.orbit_determination import (
 from boresight.campaign.kinds.single_image import ImageMethods
 from boresight.campaign.kinds.single_image import check as check_estimate
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Prediction, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, located
 from boresight.campaign.trial.unused import LENS, OF_OBSERVATIONS, SUN_OF_VIEWS
 from boresight.estimators.contract import Estimator
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
-from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask
+from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask, predict_orbit
 from boresight.estimators.registry import estimator_class, fuses_prior, with_bases
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.draw import Stream, estimator_generator, generator
@@ -52,6 +53,7 @@ from boresight.scenarios.orbits.true_orbit import (
     true_views,
 )
 from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.campaign import EstimatorSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
@@ -133,6 +135,29 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
 
     def draw(self, trial: int) -> ApproachDraw:
         """Fly the true orbit and take the images; raise `OrbitLostError` if it leads into the body."""
+        truth, views, task = self._flown(trial)
+        return ApproachDraw(trial, truth, self.world.camera, self._exposed(views, trial), task)
+
+    @classmethod
+    def predicts(cls, entry: EstimatorSpec) -> bool:
+        return hasattr(estimator_class(entry.name), "predict_estimate")
+
+    def predictors(self, trial: int) -> Mapping[str, Prediction]:
+        """Fly the true orbit of a trial without images; none if it leads into the body."""
+        try:
+            _, views, task = self._flown(trial)
+        except OrbitLostError:
+            return {}
+
+        def predict(method: Any) -> Mapping[str, float] | None:
+            covariance = predict_orbit(task, BatchFilter(), self.world.camera, views, method.predict_estimate)
+            return None if covariance is None else {"position_m": float(np.sqrt(np.trace(covariance[:3, :3])))}
+
+        able = {label: one for label, one in self.methods.items() if hasattr(one, "predict_estimate")}
+        return {label: partial(predict, one) for label, one in able.items()}
+
+    def _flown(self, trial: int) -> tuple[OrbitTruth, tuple[View, ...], ApproachTask]:
+        """Fly the true orbit: the truth, the views of all images and what is known of them without these."""
         world, times = self.world, epochs_s(self.world)
         flown = propagate_truth(world, times, self.seed, trial)
         errors = Rotation.from_rotvec(control_errors(world, len(times), self.seed, trial)).as_matrix()
@@ -157,7 +182,7 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
             gm_m3_s2=world.spec.asteroid.gm_m3_s2,
             light_m_s2=world.light_m_s2,
         )
-        return ApproachDraw(trial, truth, world.camera, self._exposed(views, trial), task)
+        return truth, views, task
 
     def _exposed(self, views: Sequence[View], trial: int) -> tuple[Image, ...]:
         images = []
