@@ -21,6 +21,8 @@ from boresight.reports.statistics.intervals import Interval, quantile_interval
 from boresight.reports.statistics.requirements import Requirement
 from boresight.scenarios.arrays import FloatArray
 
+TORNADO = "tornado"
+"""The stems of the figures begin with it."""
 _CONDITIONS = ("range_m", "phase_deg", "latitude_deg", "time_s", *names(PRIOR_ERROR[:2]))
 _POSE = ("qx", "qy", "qz", "qw"), ("tx_m", "ty_m", "tz_m")
 _OF_PAIRS = ("view_deg", "sun_deg")
@@ -234,7 +236,7 @@ def tornado_figures(run: RunData) -> Iterator[NamedFigure]:
     for place, one in enumerate(tornados(run)):
         title = f"What moves the {100.0 * one.quantile:g} % quantile of {one.measure}, {one.scenario}"
         yield NamedFigure(
-            file_stem("tornado", str(place + 1), one.measure, one.scenario),
+            file_stem(TORNADO, str(place + 1), one.measure, one.scenario),
             _draw_tornado(one, title, parts.split()[0]),
             f"{title}: in the {parts} with the least and in that with the greatest {by}, with 95 % intervals where"
             f" there are trials enough. Dashed: {'; '.join(asked.written for asked in one.requirements)}."

@@ -21,6 +21,7 @@ from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, report_figures, report_grids, told_grids
 from boresight.reports.kinds.ranges import OVER_RANGE
 from boresight.reports.kinds.requirements import judged
+from boresight.reports.kinds.tornado import TORNADO
 from boresight.reports.pages.content import content_of, estimator_results, headline, read_content, verdict_counts
 from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text, write_document
 from boresight.reports.run.data import RunData, read_run
@@ -32,6 +33,8 @@ from boresight.scenarios.errors import BoresightError
 
 LEAD = "typical"
 """Stem of the figure at the top of a page: a trial in the middle of all."""
+_MOST_TORNADOS = 3
+"""Tornados that follow the table of requirements; the others are with the other figures."""
 _ROWS_BEFORE_LEAD = 8
 """Rows of the table before it at most."""
 _HEADS = ("run", "title", "started", "trials", "measure", "estimator", "ok", "median [95 %]", "prior", "verdicts")
@@ -94,9 +97,10 @@ def _resolved(scenarios: Mapping[str, object]) -> str:
 
 
 def _leads(figures: Sequence[NamedFigure]) -> list[NamedFigure]:
-    """Choose the figures after the first table: the first of errors over range, and `LEAD`; else the first of all."""
+    """Choose the figures after the first table: tornados, the first of errors over range, `LEAD`; else the first."""
+    moved = [one for one in figures if one.stem.startswith(TORNADO)][:_MOST_TORNADOS]
     over_range = [one for one in figures if one.stem.startswith(OVER_RANGE)][:1]
-    return [*over_range, *(one for one in figures if one.stem == LEAD)] or list(figures[:1])
+    return [*moved, *over_range, *(one for one in figures if one.stem == LEAD)] or list(figures[:1])
 
 
 def _card(content: Content) -> Iterator[tuple[str, str]]:

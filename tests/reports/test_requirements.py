@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,8 +12,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import beta, binom, binomtest
 from stored_runs import ESTIMATOR
 
+from boresight.reports.figures.named import NamedFigure
+from boresight.reports.figures.pose import draw_landmark_counts
 from boresight.reports.kinds.requirements import judged, requirement_grid
 from boresight.reports.kinds.tornado import conditions_of, swing_grid, swings, tornados
+from boresight.reports.pages.build import write_report
 from boresight.reports.run.data import read_run
 from boresight.reports.statistics.intervals import wilson
 from boresight.reports.statistics.requirements import (
@@ -237,6 +242,26 @@ def test_the_quantile_is_one_that_both_thirds_have_an_interval_of(builder):
     assert not any("[-, -]" in cell for row in swing_grid(run).rows for cell in row)
     more = varied(builder, ["s"], 220, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
     assert [one.quantile for one in tornados(more)] == [0.95]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_tornado_is_the_first_figure_after_the_table_of_requirements(builder):
+    """Before the error over the range, which varies by a factor of 2, and the picture of a typical trial."""
+    run = varied(builder, ["s"], 40, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
+    typical = NamedFigure("typical", draw_landmark_counts(np.arange(9.0), "T"), "A trial.", "typical trial")
+    files = write_report(run.folder, extra=[typical])
+    page = files.html.read_text(encoding="utf-8")
+    order = re.findall(r'<h2[^>]*>(.*?)</h2>|<img src="data:[^"]*" alt="([^"]*)">', page)
+    headings, pictures = zip(*order[:4], strict=True)
+    assert headings[0].startswith("Requirements")
+    assert [picture.split()[0] for picture in pictures[1:]] == ["Bars", "Position", "typical"]
+    text = files.markdown.read_text(encoding="utf-8")
+    assert (
+        text.index("### Requirements")
+        < text.index("](tornado_1")
+        < text.index("### What moves")
+        < text.index("](error_over_range")
+    )
 
 
 def test_a_condition_of_a_few_values_is_compared_between_them(builder):
