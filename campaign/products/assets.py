@@ -39,6 +39,9 @@ from boresight.scenarios.stars import StarCatalog
 _FAILURE = "unmade.txt"
 """File with the reason why a product cannot be built, in place of the product."""
 
+_BYTES = 12
+"""Of a vertex or a facet on board: three numbers of 32 bits."""
+
 _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
@@ -87,6 +90,20 @@ class MissingProduct:
     scenario: str
     estimator: str
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class OnboardShape:
+    """The shape that an estimator holds on board, ``facets`` and ``bytes`` at 12 for each vertex and facet."""
+
+    scenario: str
+    estimator: str
+    facets: int
+    bytes: int
+
+
+Prepared = BuiltProduct | MissingProduct | OnboardShape
+"""What is known of a method before the first trial."""
 
 
 class EstimatorAssets(Handle):
@@ -225,6 +242,14 @@ class BuiltAssets:
         """Return the products used so far, attributed to an estimator."""
         name = self._scenario.spec.name
         return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._used]
+
+    def shape_of(self, estimator: str) -> list[OnboardShape]:
+        """Return the shape, if it was used so far, attributed to an estimator."""
+        if not self._uses_shape:
+            return []
+        mesh = self.shape()
+        size = _BYTES * (len(mesh.vertices_m) + len(mesh.faces))
+        return [OnboardShape(self._scenario.spec.name, estimator, len(mesh.faces), size)]
 
     def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
         jobs = self.jobs

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 from boresight.campaign.imaging.real_images import left_out_notes
 from boresight.campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
 from boresight.campaign.pool.workers import in_order, no_replacement
-from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+from boresight.campaign.products import BuiltAssets, Prepared
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.manifest import RunRequest
@@ -193,10 +193,10 @@ def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] |
 
 def build_products(
     campaign: ResolvedCampaign, request: RunRequest, tell: Callable[[str], None] | None
-) -> list[BuiltProduct | MissingProduct]:
+) -> list[Prepared]:
     """Build what the trials need, before any of them."""
     kind = kind_named(campaign.spec.experiment)
-    products, kept = list[BuiltProduct | MissingProduct](), list[Body]()
+    products, kept = list[Prepared](), list[Body]()
     for scenario in campaign.scenarios:
         place = request.out / "products"
         assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft, kept=kept)

@@ -13,7 +13,7 @@ from typing import Any
 from boresight.campaign.imaging.credits import credit_lines
 from boresight.campaign.imaging.real_images import left_out_notes, open_images
 from boresight.campaign.machine import describe, package_versions
-from boresight.campaign.products import BuiltProduct, MissingProduct
+from boresight.campaign.products import BuiltProduct, MissingProduct, OnboardShape, Prepared
 from boresight.campaign.products.assets import product_kind
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import KEY, next_start
@@ -60,7 +60,7 @@ class RunRequest:
 def make_manifest(
     campaign: ResolvedCampaign,
     request: RunRequest,
-    products: Sequence[BuiltProduct | MissingProduct],
+    products: Sequence[Prepared],
     previous: Mapping[str, Any] | None,
 ) -> dict[str, object]:
     """Describe a run before its first trial; what an earlier start of it asked for is not forgotten."""
@@ -101,6 +101,7 @@ def make_manifest(
             *missing_notes(products),
         ],
         "products": [_product(request.out, product) for product in products if isinstance(product, BuiltProduct)],
+        "shapes": [asdict(shape) for shape in products if isinstance(shape, OnboardShape)],
     }
 
 
@@ -115,7 +116,7 @@ def now(manifest: Mapping[str, object] | None = None) -> str:
     return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
 
 
-def missing_notes(products: Sequence[BuiltProduct | MissingProduct]) -> list[str]:
+def missing_notes(products: Sequence[Prepared]) -> list[str]:
     """Say of each product that cannot be made who goes without it, and why."""
     return [
         f"all trials of {missing.estimator} in {missing.scenario} are errors: {missing.reason}"

@@ -18,7 +18,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.lengths import lengths_left_out, with_lengths
 
 if TYPE_CHECKING:
-    from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+    from boresight.campaign.products import BuiltAssets, Prepared
     from boresight.campaign.resolved import ResolvedCampaign
     from boresight.scenarios.load import LoadedScenario
     from boresight.scenarios.spec.base import SpecModel
@@ -169,9 +169,7 @@ class Trials(ABC):
         """
 
     @classmethod
-    def prepare(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
-    ) -> Sequence[BuiltProduct | MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> Sequence[Prepared]:
         """Build the products of the trials before the first; a method whose product cannot be built has no trials."""
         return []
 

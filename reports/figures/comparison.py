@@ -123,44 +123,65 @@ def _share_ordinate(row: Sequence[Axes], error: str) -> None:
     row[0].set_ylabel(error)
 
 
+@dataclass(frozen=True, slots=True)
+class Traded:
+    """A mark of a trade-off: median errors by measure and costs by label; ``off`` the front it is drawn open."""
+
+    estimator: str
+    errors: Mapping[str, Measured]
+    costs: Mapping[str, float]
+    off: bool = False
+    note: str = ""
+
+
 @styled
 def draw_trade_off(
-    errors: Mapping[str, Mapping[str, Measured]],
-    costs: Mapping[str, Mapping[str, float]],
+    points: Sequence[Traded],
+    labels: Mapping[str, str],
     prior: Mapping[str, float],
     title: str,
     credit_lines: Sequence[str] = (),
 ) -> Figure:
-    """Draw position and attitude errors (rows) against two costs (columns), all axes logarithmic.
+    """Draw errors (rows) against costs (columns), all axes but those of shares logarithmic.
 
-    ``errors`` maps ``position_error_m`` and ``attitude_error_deg`` to the median error of each method, ``prior`` to
-    that of the prior. ``costs`` maps the label of each cost to that of each method which has one.
+    ``labels`` are of the errors' axes, by measure, ``prior`` that error of the prior. A cost that no point has is left
+    out.
     """
-    figure, places = grid_figure(2, 2, height_in=5.6)
-    for row, (name, label) in zip(places, _ERRORS, strict=True):
-        for axes, (abscissa, known) in zip(row, costs.items(), strict=True):
-            _draw_methods(axes, errors[name], known)
-            axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
-            axes.set(xlabel=abscissa, ylabel=label, xscale="log", yscale="log")
+    costs = list(dict.fromkeys(cost for point in points for cost in point.costs)) or [""]
+    figure, places = grid_figure(len(labels), len(costs), max(6.5, 3.75 * len(costs)), 1.2 + 2.3 * len(labels))
+    drawn = plot_styles(point.estimator for point in points)
+    for row, (name, label) in zip(places, labels.items(), strict=True):
+        for axes, cost in zip(row, costs, strict=True):
+            for point in points:
+                _draw_traded(axes, point, name, cost, drawn[point.estimator])
+            if name in prior:
+                axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
+            axes.set(xlabel=cost, ylabel=label, xscale="log", yscale="linear" if label.endswith("%") else "log")
             axes.margins(0.15)
             axes.autoscale_view()
-            for axis in (axes.xaxis, axes.yaxis):
+            for axis in (axes.xaxis, axes.yaxis)[: 1 if label.endswith("%") else 2]:
                 mark_decades(axis)
-        row[1].sharey(row[0])
-    return finish(figure, title, credit_lines, legend=places[0, 0])
+        for axes in row[1:]:
+            axes.sharey(row[0])
+    finish(figure, title, credit_lines)
+    handles = dict(zip(*reversed(places[0, 0].get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(3, max(1, len(handles))))
+    return figure
 
 
-def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
-    drawn = plot_styles(errors)
-    for label, error in errors.items():
-        if label not in costs or error.value is None:
-            continue
-        known = error.low is not None and error.high is not None
-        reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
-        axes.errorbar(
-            [costs[label]], [error.value], yerr=reach, color=drawn[label].colour, marker=drawn[label].marker,
-            markersize=6, linestyle="none", capsize=3, label=label,
-        )  # fmt: skip
+def _draw_traded(axes: Axes, point: Traded, name: str, cost: str, style: PlotStyle) -> None:
+    error = point.errors[name]
+    if cost not in point.costs or error.value is None:
+        return
+    known = error.low is not None and error.high is not None
+    reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
+    axes.errorbar(
+        [point.costs[cost]], [error.value], yerr=reach, color=style.colour, marker=style.marker, markersize=6,
+        markerfacecolor="none" if point.off else style.colour, linestyle="none", capsize=3, label=point.estimator,
+    )  # fmt: skip
+    if point.note:
+        at = (point.costs[cost], error.value)
+        axes.annotate(point.note, at, (5, 3), textcoords="offset points", fontsize=6.0, color=style.colour)
 
 
 @styled

@@ -15,6 +15,7 @@ import pandas as pd
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds.requirements import requirement_grid
 from boresight.reports.kinds.tornado import swing_grid, tornado_figures
+from boresight.reports.kinds.trade_off import trade_figures, trade_grid
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import limited, short_line
@@ -38,6 +39,7 @@ def report_figures(content: Content) -> Iterable[NamedFigure]:
     """List the figures of a report, in order."""
     yield from tornado_figures(content.run)
     yield from report_kind(content.run).figures(content)
+    yield from trade_figures(content.run)
 
 
 def brief_grids(content: Content) -> list[Grid]:
@@ -80,7 +82,8 @@ class Content:
         """Tables of the report: see `report_grids`."""
         found = report_kind(self.run).tables(self)
         first = (requirement_grid(self.run), swing_grid(self.run))
-        return _headed(self.run, (*first, *found, claim_grid(self.claims), failure_grid(self.run)))
+        last = (trade_grid(self.run), claim_grid(self.claims), failure_grid(self.run))
+        return _headed(self.run, (*first, *found, *last))
 
     @cached_property
     def brief(self) -> list[Grid]:
@@ -109,7 +112,7 @@ class ReportKind:
     """Tables and figures of a kind of trial.
 
     ``records`` measures what this kind alone has; the published values are those that the campaign names. ``tables``
-    come before that of failures, and ``brief``, what the terminal shows, before the verdicts.
+    come before the Pareto front and the failures, and ``brief``, what the terminal shows, before the verdicts.
     """
 
     records: Callable[[RunData, Comparison | None], Iterable[Record]] = lambda run, comparison: ()

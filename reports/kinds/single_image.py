@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from pydantic import ValidationError
 
-from boresight.reports.figures.comparison import draw_roc, draw_trade_off
+from boresight.reports.figures.comparison import draw_roc
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.pose import (
     draw_centroid_offsets,
@@ -20,12 +20,11 @@ from boresight.reports.figures.pose import (
 )
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_figures, design_grids
-from boresight.reports.kinds.pooled import is_wide
 from boresight.reports.kinds.ranges import range_figures
-from boresight.reports.kinds.trade_off import ATTITUDE, ERRORS, POSITION, Cost, costs, trade_grid
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.run.outcomes import errors_by_stage, final_stage
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
 from boresight.reports.schema.records import CONTROL, DERIVED, Key, Record, by_key, stage_label
 from boresight.reports.statistics.consistency import consistency_grid
@@ -98,7 +97,7 @@ def sensitivity_grid(
         first = (key.stage for key in own if (key.measure, key.statistic) == ("n_landmarks", MEDIAN.name))
         solved = Key(scenario, label, next(first, "recognition"), "", "n_landmarks", MEDIAN.name)
         sizes = (Key(scenario, label, "database", "", f"database_{name}", "count") for name in ("landmarks", "facets"))
-        errors = [known.get(solved._replace(measure=name)) for name in ERRORS]
+        errors = [known.get(solved._replace(measure=name)) for name in POSE_COLUMNS[:2]]
         against = next((key.reference for key in own if key.stage == PAIRED), "")
         paired = Key(scenario, label, PAIRED, against, FAILURE_RATE, OWN)
         # The first line has no rate of its own: it is with those of the others, which are held against it.
@@ -212,7 +211,7 @@ def _outlier_figures(run: RunData, scenario: str, estimator: str) -> Iterator[Na
 
 
 def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) -> Iterator[NamedFigure]:
-    """Draw all estimators of a scenario: their final errors over each other, what these cost, and their shares."""
+    """Draw all estimators of a scenario: their final errors over each other, and their shares."""
     run = content.run
     rows = {label: run.of(scenario, label) for label in labels}
     final = {label: own for label, own in rows.items() if label != CONTROL}
@@ -225,27 +224,6 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
             " legend.",
             f"Two histograms of the errors of attitude and position of {', '.join(final)}.",
         )
-    found = {cost.estimator: cost for cost in costs(run) if cost.scenario == scenario}
-    if found:
-        errors = {
-            POSITION: {label: cost.position_m for label, cost in found.items()},
-            ATTITUDE: {label: cost.attitude_deg for label, cost in found.items()},
-        }
-        seconds = {label: cost.seconds.value for label, cost in found.items()}
-        spent = {
-            "time an image, ms": {label: 1e3 * value for label, value in seconds.items() if value is not None},
-            "data base, kB": {k: 1e-3 * cost.size_bytes for k, cost in found.items() if cost.size_bytes is not None},
-        }
-        once = run.rows[run.rows["scenario"] == scenario].drop_duplicates("trial")
-        prior = {name: float(np.median(once[f"prior_{name}"])) for name in ERRORS}
-        title = f"Accuracy and its cost, {scenario}"
-        yield NamedFigure(
-            file_stem("trade_off", scenario),
-            draw_trade_off(errors, spent, prior, title, run.manifest.credits),
-            f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
-            f" prior. What reads no data base stands in the panels of time alone.{_dominated(found.values())}",
-            f"Median errors of {', '.join(found)} against time an image and size of the data base.",
-        )
     title = f"Cumulative error, {scenario}"
     solved = {label: (own[own["status"] == "ok"], len(own)) for label, own in rows.items()}
     yield NamedFigure(
@@ -255,11 +233,6 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
         " estimate.",
         f"Cumulative shares of attitude and position error for {', '.join(rows)}.",
     )
-
-
-def _dominated(found: Iterable[Cost]) -> str:
-    names = [f"{one.estimator} by {one.dominated_by}" for one in found if one.dominated_by]
-    return f" Dominated, by the rule of the table: {', '.join(names)}." if names else ""
 
 
 def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
@@ -306,14 +279,11 @@ def tables(content: Content) -> Tables:
     """List the tables of single images, or of the grid that their scenarios are."""
     measured, run = content.records, content.run
     if run.manifest.grid is not None:
-        # The names of the runs of a two-level design do not say their levels, and of a wide grid there are too many.
-        costly = run.manifest.grid.design == "two-level" or is_wide(run)
-        return [*design_grids(run), *([] if costly else [trade_grid(run)])]
+        return design_grids(run)
     return (
         *pose_grids(measured, run),
         reference_grid(measured, run),
         comparison_grid(content.compared),
-        trade_grid(run),
         detail_grid(measured),
         diagnostic_grid(measured),
         paired_grid(measured),

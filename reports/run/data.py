@@ -9,8 +9,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from boresight.reports.schema.column import names
@@ -47,6 +49,17 @@ class StoredProduct(BaseModel):
     bytes: int | None = None
     seconds: float | None = None
     images: int | None = None
+
+
+class StoredShape(BaseModel):
+    """Manifest entry of the shape that an estimator holds on board: facets, and bytes of vertices and facets."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    scenario: str
+    estimator: str
+    facets: int
+    bytes: int
 
 
 class GridAxis(BaseModel):
@@ -118,6 +131,7 @@ class Manifest(BaseModel):
     embedded: tuple[str, ...] = ()
     draft: float = 1.0
     products: tuple[StoredProduct, ...] = ()
+    shapes: tuple[StoredShape, ...] | None = None
     grid: ScenarioGrid | None = None
     campaign: Mapping[str, Any] = {}
 
@@ -212,6 +226,11 @@ class RunData:
         whole, places = self._grouped[name]
         lines: pd.DataFrame = whole.iloc[places.get((scenario, estimator), [])]
         return lines
+
+    def place_in_rows(self, scenario: str, estimator: str) -> NDArray[np.integer]:
+        """Return the positions in `rows` (n,) of one scenario and estimator."""
+        self.of(scenario, estimator)
+        return np.asarray(self._grouped["rows"][1].get((scenario, estimator), []), dtype=np.int64)
 
     def solved(self, scenario: str, estimator: str) -> pd.DataFrame:
         """Return the rows of one scenario and estimator with an estimate."""

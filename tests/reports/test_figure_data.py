@@ -12,6 +12,7 @@ from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.figures.comparison import (
     Effect,
     HeatMap,
+    Traded,
     draw_effects,
     draw_heat_maps,
     draw_trade_off,
@@ -88,9 +89,10 @@ def test_a_summary_has_errors_success_in_percent_and_the_difference():
 
 
 def test_costs_are_in_milliseconds_and_kilobytes():
-    errors = {"position_error_m": {"a": Measured(3.0)}, "attitude_error_deg": {"a": Measured(0.3)}}
-    spent = {"time, ms": {"a": 100.0}, "size, kB": {"a": 4.0}}
-    figure = draw_trade_off(errors, spent, {"position_error_m": 9.0, "attitude_error_deg": 1.0}, "T")
+    errors = {"position_error_m": Measured(3.0), "attitude_error_deg": Measured(0.3)}
+    labels = {"position_error_m": "position error, m", "attitude_error_deg": "attitude error, deg"}
+    marks = [Traded("a", errors, {"time, ms": 100.0, "size, kB": 4.0})]
+    figure = draw_trade_off(marks, labels, {"position_error_m": 9.0, "attitude_error_deg": 1.0}, "T")
     assert [points(axes, marker="o") for axes in figure.axes] == [
         [([100.0], [3.0])], [([4.0], [3.0])], [([100.0], [0.3])], [([4.0], [0.3])],
     ]  # fmt: skip

@@ -1,14 +1,16 @@
 """Accuracy beside its cost: sizes of data bases, times, failures, and the figure of them."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 from stored_runs import RunBuilder, find
 
-from boresight.reports.figures.comparison import draw_trade_off
+from boresight.reports.figures.comparison import Traded, draw_trade_off
 from boresight.reports.figures.style import render
-from boresight.reports.kinds import report_kind
-from boresight.reports.kinds.trade_off import costs, trade_grid
+from boresight.reports.kinds import report_figures, report_grids
+from boresight.reports.kinds.trade_off import NO_ESTIMATE, OFF, ON, UNDECIDED, Standing, costs, trade_grid
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
@@ -45,7 +47,7 @@ def test_costs_by_hand(builder):
     assert (corners.estimator, corners.n_ok, corners.n, corners.landmarks, corners.size_bytes) == (
         "corners", 3, 4, 400, 50_000,
     )  # fmt: skip
-    assert corners.position_m.value == 20.0
+    assert corners.errors["position_error_m"].value == 20.0
     # Trials 0 to 2 have an estimate and take 30, 40 and 50 ms; the image is not the estimator's.
     assert corners.seconds.value == pytest.approx(0.04)
     interval = binomtest(2, 4).proportion_ci(method="wilson")
@@ -57,17 +59,20 @@ def test_the_table_holds_accuracy_and_cost(builder):
     grid = trade_grid(read_run(fill(builder)))
     lines = [dict(zip(grid.columns, row, strict=True)) for row in grid.rows]
     assert [line["estimator"] for line in lines] == ["corners", "maplets"]
-    assert (lines[0]["ok"], lines[0]["time an image ms"]) == ("3/4", "40.0")
-    assert [line["data base kB"] for line in lines] == ["50.0", "160"]
-    assert [line["bytes a landmark"] for line in lines] == ["125", "800"]
+    assert (lines[0]["ok"], lines[0]["time ms [95 %]"]) == ("3/4", "40.0")
+    assert [line["on board kB"] for line in lines] == ["50.0", "160"]
+    assert [line["landmarks"] for line in lines] == ["400", "200"]
     assert lines[1]["failures % [95 %]"].startswith("0 [0")
+    assert [line["front of the scenario"] for line in lines] == [
+        "on it", "not shown to be off it, against corners",
+    ]  # fmt: skip
 
 
 def test_the_size_is_a_number_of_the_report(builder):
     content = read_content(fill(builder))
     size = find(content.records, scenario=ITOKAWA, estimator="maplets", measure="database_bytes")
     assert (size.value, size.unit, size.statistic) == (160_000, "bytes", "count")
-    (traded,) = (one for one in report_kind(content.run).figures(content) if one.stem == "trade_off_itokawa")
+    (traded,) = (one for one in report_figures(content) if one.stem == "trade_off_itokawa")
     times, sizes = ([float(c.lines[0].get_xdata()[0]) for c in axes.containers] for axes in traded.figure.axes[:2])
     assert (times, sizes) == (pytest.approx([40.0, 45.0]), [50.0, 160.0]), "milliseconds and kilobytes"
     files = write_report(content.run.folder)
@@ -76,22 +81,24 @@ def test_the_size_is_a_number_of_the_report(builder):
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("products", [[], [{**PRODUCTS[0], "scenario": "elsewhere", "estimator": "corners"}]])
-def test_nothing_is_traded_where_no_data_base_is_known(builder, products):
-    content = read_content(fill(builder, products=products))
+def test_nothing_is_traded_without_times(builder):
+    for trial in range(3):
+        for estimator in ("corners", "maplets"):
+            builder.trial(trial, PRIOR, ((4.0, 0, 0), 0.1), estimator=estimator)
+    content = read_content(builder.write(estimators=["corners", "maplets"], report=None))
     assert trade_grid(content.run) is None
-    files = write_report(content.run.folder)
-    assert not list(files.folder.glob("trade_off*"))
+    assert not [one for one in report_figures(content) if one.stem.startswith("trade_off")]
 
 
 def test_an_estimator_that_never_answers_has_no_accuracy(builder):
-    builder.trial(0, PRIOR, None, estimator="corners", reason="black")
-    builder.trial(0, PRIOR, ((4.0, 0, 0), 0.1), estimator="maplets")
-    owned = [{**PRODUCTS[0], "scenario": ITOKAWA, "estimator": "corners"}]
-    run = read_run(builder.write(estimators=["corners", "maplets"], products=owned))
-    rows = trade_grid(run).rows
-    assert rows[0][2:5] == ("0/1", "-", "-")
-    assert rows[1][-4:] == ("-", "-", "-", "-")
+    run = read_run(fill(builder, estimators=["prior", "corners", "maplets", "dark"]))
+    for trial in range(4):
+        builder.trial(trial, PRIOR, None, estimator="dark", reason="black")
+    run = read_run(builder.write(estimators=["prior", "corners", "maplets", "dark"], report=None))
+    grid = trade_grid(run)
+    line = dict(zip(grid.columns, grid.rows[-1], strict=True))
+    assert (line["estimator"], line["ok"], line["position m [95 %]"]) == ("dark", "0/4", "-")
+    assert line["front of the scenario"] == NO_ESTIMATE
 
 
 def race(builder, other, *, size=60_000, seed=0, trials=40, **manifest):
@@ -109,7 +116,7 @@ def race(builder, other, *, size=60_000, seed=0, trials=40, **manifest):
         {**PRODUCTS[0], "scenario": ITOKAWA, "estimator": name, "bytes": own} for name, own in size_of.items() if own
     ]
     run = read_run(builder.write(**{"estimators": list(ratios), "products": products, "report": None} | manifest))
-    return [cost.dominated_by for cost in costs(run)]
+    return [cost.in_scenario.beside[0][1] if cost.in_scenario.verdict == OFF else "" for cost in costs(run)]
 
 
 WORSE = (1.5, 1.5, 1.5, 0.4)
@@ -135,10 +142,86 @@ def test_an_estimator_is_dominated_if_another_is_better_in_all(builder, other, s
     assert race(builder, other, size=size) == dominated
 
 
+@pytest.mark.parametrize(("size", "dominated"), [(40_000, ["other", ""]), (60_000, ["", ""]), (None, ["other", ""])])
+def test_a_shape_on_board_counts_as_a_data_base_does(builder, size, dominated):
+    """``other`` is better in all, and reads no data base: it holds a shape, or nothing (None)."""
+    shapes = [{"scenario": ITOKAWA, "estimator": "other", "facets": 9, "bytes": size}] if size else []
+    assert race(builder, (0.5, 0.5, 0.5, 0.0), size=None, shapes=shapes) == dominated
+
+
 def test_equal_methods_are_seldom_dominated(tmp_path):
     """Errors, attitudes and times of one law: three independent intervals would have to lie on one side."""
     found = [race(RunBuilder(tmp_path / str(seed)), (1.0, 1.0, 1.0, 0.0), seed=seed, trials=12) for seed in range(20)]
     assert all(one == ["", ""] for one in found)
+
+
+LEVELS = ("near", "far")
+
+
+def cells(builder, factors, trials=40, kind="sequence", **manifest):
+    """Store tracks of ``a`` and ``b`` at two levels: errors and times are 10 m and 0.1 s times factors, with noise."""
+    rng = np.random.default_rng(1)
+    for (level, name), (error, time) in factors.items():
+        for trial in range(trials):
+            key = {"trial": trial, "scenario": level, "estimator": name}
+            size = 10.0 * error * rng.lognormal(0.0, 0.1)
+            builder.add("rows", **key, status="ok", reason="", n_landmarks=0, image="", position_error_m=size)
+            builder.add("epochs", **key, frame=0, position_error_m=size)
+            builder.add("timings", **key, stage="cycle", seconds=0.1 * time * rng.lognormal(0.0, 0.1))
+    axes = [{"name": "range", "label": "range of it", "levels": LEVELS, "values": None}]
+    scenarios = [{"name": level, "base": "rock", "levels": {"range": level}} for level in LEVELS]
+    grid = {"design": "full", "axes": axes, "scenarios": scenarios}
+    told = {"scenarios": {level: {} for level in LEVELS}, "estimators": ["a", "b"], "report": None, "grid": grid}
+    return builder.write(**told | manifest)
+
+
+FACTORS = {("near", "a"): (1.0, 1.0), ("near", "b"): (0.5, 2.0), ("far", "a"): (2.0, 2.0), ("far", "b"): (1.0, 4.0)}
+"""At both levels ``b`` is more accurate and slower; far away all is twice as bad, so that ``b`` there is like ``a``."""
+
+
+def test_the_levels_of_a_grid_of_sequences_have_one_front(builder):
+    found = costs(read_run(cells(builder, FACTORS)))
+    assert [(cost.scenario, cost.estimator) for cost in found] == [
+        ("near", "a"), ("near", "b"), ("far", "a"), ("far", "b"),
+    ]  # fmt: skip
+    assert {cost.in_scenario for cost in found} == {Standing(ON)}, "each is the more accurate or the faster one"
+    near_a, near_b, far_a, far_b = (cost.over_grid for cost in found)
+    assert near_a == near_b == Standing(ON)
+    assert (far_a.verdict, far_a.beside) == (OFF, (("near", "a"),)), "b is as fast: not better beyond an interval"
+    assert (far_b.verdict, far_b.beside) == (OFF, (("near", "b"),)), "a is as accurate"
+
+
+def test_time_alone_decides_nothing_between_scenarios(builder):
+    """What ignores the axis has equal errors at both levels, and a time that follows the load of the machine."""
+    run_folder = cells(builder, {("near", "a"): (1.0, 1.0), ("far", "a"): (1.0, 2.0), ("far", "b"): (2.0, 4.0)})
+    near = [row["position_error_m"] for row in builder.tables["rows"] if row["scenario"] == "near"]
+    for row in builder.tables["rows"]:
+        if (row["scenario"], row["estimator"]) == ("far", "a"):
+            row["position_error_m"] = near[row["trial"]]
+    found = costs(read_run(builder.write(**json.loads((run_folder / "manifest.json").read_text()))))
+    assert [cost.over_grid.verdict for cost in found][1:] == [UNDECIDED, OFF]
+
+
+def test_what_is_not_told_apart_is_said_in_words(builder):
+    """Four trials have no interval of a median."""
+    grid = trade_grid(read_run(cells(builder, FACTORS, trials=4)))
+    lines = [dict(zip(grid.columns, row, strict=True)) for row in grid.rows]
+    assert grid.columns[:3] == ("range of it", "estimator", "ok")
+    assert lines[0]["front of the scenario"] == f"{UNDECIDED}, against b"
+    assert lines[0]["front of the grid"] == f"{UNDECIDED}, against b, a at far and 1 more"
+    assert "-" not in {cell for line in lines for cell in line.values()}
+
+
+def test_scenarios_that_are_no_grid_have_a_front_each(builder):
+    found = costs(read_run(cells(builder, FACTORS, grid=None)))
+    assert {(cost.in_scenario.verdict, cost.over_grid) for cost in found} == {(ON, None)}
+
+
+def test_of_a_wide_grid_the_cells_that_nothing_beats_are_listed(builder, monkeypatch):
+    monkeypatch.setattr("boresight.reports.kinds.trade_off.MOST_CELLS", 3)
+    run = read_run(cells(builder, FACTORS))
+    assert [(cost.scenario, cost.estimator) for cost in costs(run)] == [("near", "a"), ("near", "b")]
+    assert "Of 4 cells" in trade_grid(run).note
 
 
 def test_a_grid_has_the_table_for_each_scenario(builder):
@@ -146,17 +229,23 @@ def test_a_grid_has_the_table_for_each_scenario(builder):
     levels = [{"name": ITOKAWA, "base": "rock", "levels": {"world": "a"}}]
     for design, shown in (("full", 1), ("two-level", 0)):
         content = read_content(fill(builder, grid={"design": design, "axes": axes, "scenarios": levels}))
-        titles = [grid.title for grid in report_kind(content.run).tables(content) if grid is not None]
+        titles = [grid.title for grid in report_grids(content)]
         assert sum("Accuracy and its cost" in title for title in titles) == shown
 
 
 def test_marks_lie_at_their_costs():
-    found = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
-    errors = {name: {"maplets": one, "shape": one} for name, one in found.items()}
-    spent = {"ms": {"maplets": 500.0, "shape": 2000.0}, "kB": {"maplets": 160.0}}
-    figure = draw_trade_off(errors, spent, {"position_error_m": 45.0, "attitude_error_deg": 1.0}, "T", ["Credit"])
+    errors = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
+    labels = {"position_error_m": "position error, m", "attitude_error_deg": "attitude error, deg"}
+    marks = [
+        Traded("maplets", errors, {"ms": 500.0, "kB": 160.0}, note="near"),
+        Traded("shape", errors, {"ms": 2000.0}, off=True),
+    ]
+    prior = {"position_error_m": 45.0, "attitude_error_deg": 1.0}
+    figure = draw_trade_off(marks, labels, prior, "T", ["Credit"])
     assert render(figure, "png")[:4] == b"\x89PNG"
     time, size = figure.axes[:2]
     assert [tuple(np.ravel(c.lines[0].get_xydata())) for c in time.containers] == [(500.0, 4.0), (2000.0, 4.0)]
     assert [tuple(np.ravel(c.lines[0].get_xydata())) for c in size.containers] == [(160.0, 4.0)]
     assert [list(line.get_ydata()) for line in time.lines if line.get_label() == "prior"] == [[45.0, 45.0]]
+    assert [c.lines[0].get_markerfacecolor() == "none" for c in time.containers] == [False, True], "off is open"
+    assert [text.get_text() for text in time.texts] == ["near"]

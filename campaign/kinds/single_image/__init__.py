@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.observe import plan
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
-from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+from boresight.campaign.products import BuiltAssets, Prepared
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import (
@@ -162,15 +162,14 @@ class ImageMethods(TrialRunner[Estimator, Drawn, Answer]):
         return {}
 
     @classmethod
-    def prepare(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
-    ) -> list[BuiltProduct | MissingProduct]:
-        """Let every estimator ask for its products."""
-        products: list[BuiltProduct | MissingProduct] = []
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[Prepared]:
+        """Let every estimator ask for its products, and for the shape."""
+        products: list[Prepared] = []
         for number, entry in product(range(campaign.spec.databases), cls.entries(campaign, scenario)):
             asked = assets.for_database(number)
             method = _method(entry, scenario, asked)
             products += asked.products_of(entry.label)
+            products += asked.shape_of(entry.label) if number == 0 else []
             products += unbuilt_products(scenario, {entry.label: method})
         return products
 
