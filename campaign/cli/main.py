@@ -203,6 +203,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--trials", "views to predict at (default: 20, or those of the run)", _POSITIVE),
         _a("--estimator", "of this estimator alone"),
         _a("--run", "a finished run of the campaign, to compare its errors with", metavar="FOLDER"),
+        _a("--out", "write all predictions into this table, .csv or .json by its ending", _FILE, metavar="FILE"),
         _a("--seed", "seed (default: what the campaign says)", _NOT_NEGATIVE),
         _OVERRIDES, _EMBEDDED,
     ),

@@ -41,11 +41,12 @@ _WITHOUT_IMAGES = ("pose-convergence", "landmark-database")
 """Kinds whose trials show no image of the scenario's views."""
 
 
-def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
+def check_campaign(campaign: ResolvedCampaign, trials: int) -> list[tuple[Body, Body]]:
     """Read all that a run of so many trials of each scenario reads, and refuse what could not run.
 
     Raise BoresightError if a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an
     option is wrong, there are no such published values, or more trials are asked for than there are real images.
+    Return the bodies of each scenario, see `check_bodies`.
     """
     check_data(campaign)
     if campaign.spec.report is not None:
@@ -65,6 +66,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
             entry = campaign.entry("trials") if trials == campaign.spec.trials else None
             asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
             raise BoresightError(f"{asked}: {scenario.spec.name} has images for {limit} trials at most")
+    return held
 
 
 def _check_requirements(campaign: ResolvedCampaign) -> None:

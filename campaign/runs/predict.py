@@ -20,6 +20,8 @@ from boresight.reports.run.data import RunData
 from boresight.reports.statistics.intervals import Interval, interval_of_sums
 from boresight.scenarios.errors import BoresightError, MachineError, text_of
 
+_TOLD = 100
+"""Scenarios after which progress is told."""
 STATED = {"position_m": "position_sigma_m", "attitude_deg": "attitude_sigma_deg"}
 """Columns of a run with the RMS errors that the estimator states, by the measure."""
 
@@ -56,7 +58,7 @@ def predict_errors(campaign: ResolvedCampaign, trials: int, folder: Path, tell: 
     compiled: set[str] = set()
     context = WorkerContext(folder, 1, keep_images=False)
     records: list[Record] = []
-    for scenario in campaign.scenarios:
+    for number, scenario in enumerate(campaign.scenarios, 1):
         drawn = PerDatabase.open(campaign, scenario, context)
         for trial in range(trials):
             predictors = drawn.of(trial).predictors(trial)
@@ -69,6 +71,8 @@ def predict_errors(campaign: ResolvedCampaign, trials: int, folder: Path, tell: 
                 began = time.process_time()
                 found = _predicted(predict, key)
                 records.append({**key, **(found or {}), "seconds": time.process_time() - began})
+        if number % _TOLD == 0 and number < len(campaign.scenarios):
+            tell(f"{number} of {len(campaign.scenarios)} scenarios predicted")
     return pd.DataFrame(records, columns=["scenario", "estimator", "trial", *MEASURES, "seconds"])
 
 
@@ -104,6 +108,31 @@ class PredictedError:
     stated: float | None = None
     ratio: float | None = None
     interval: Interval = (None, None)
+
+
+def tabulate(found: Sequence[PredictedError], campaign: ResolvedCampaign, compared: bool) -> pd.DataFrame:
+    """Tabulate predictions, a row for each scenario, estimator and error, with the levels of a campaign's grid.
+
+    Columns: ``scenario``, the axes of the grid by name (one called as another column with ``_level`` behind it),
+    ``estimator``, ``error`` (of `MEASURES`, with the unit at its end), ``predicted`` (RMS, NaN without a prediction),
+    ``n`` of ``trials``, ``cpu_s`` of a trial; if they are ``compared``, ``n_ok``, ``rms_error``, ``rms_stated``,
+    ``ratio``, ``ratio_low`` and ``ratio_high``.
+    """
+    rows = []
+    for one in found:
+        row: Record = {"scenario": one.scenario, "estimator": one.estimator, "error": one.measure}
+        row |= {"predicted": one.predicted, "n": one.n, "trials": one.trials, "cpu_s": one.seconds}
+        if compared:
+            low, high = one.interval
+            row |= {"n_ok": one.n_ok, "rms_error": one.error, "rms_stated": one.stated}
+            row |= {"ratio": one.ratio, "ratio_low": low, "ratio_high": high}
+        rows.append(row)
+    table = pd.DataFrame(rows)
+    axes = () if campaign.spec.grid is None else tuple(campaign.spec.grid.axes)
+    for place, axis in enumerate(axes, 1):
+        levels = {name: own.levels[axis] for name, own in campaign.variations.items()}
+        table.insert(place, f"{axis}_level" if axis in table else axis, table["scenario"].map(levels))
+    return table
 
 
 def summarise(predicted: pd.DataFrame, run: RunData | None = None) -> Iterator[PredictedError]:

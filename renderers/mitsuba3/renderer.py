@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import cv2
@@ -61,15 +62,16 @@ class MitsubaRenderer:
         self.variant = variant or choose_variant()
         self._samples_per_pixel = samples_per_pixel
         self._mesh = mesh
-        self._outline_m = outline_points(mesh) if outline_m is None else outline_m
+        self._given_outline_m = outline_m
         self._vertex_normals = vertex_normals(mesh) if shading == "smooth" else None
         tracer = WavefrontTracer if self.variant.is_wavefront else ScalarTracer
         self._tracer = tracer(self.variant, mesh, brdf, samples_per_pixel, self._vertex_normals)
 
-    @property
+    @cached_property
     def outline_m(self) -> NDArray[np.float64]:
         """Points (N, 3) of the body frame whose convex hull contains the body."""
-        return self._outline_m
+        # When it is wanted: predictions render nothing, and the hull takes longer than all else here.
+        return outline_points(self._mesh) if self._given_outline_m is None else self._given_outline_m
 
     def render(self, view: View) -> NDArray[np.float32]:
         """Radiance factor I/F = pi f_r cos(i) of every pixel, (H, W); 0 off the body and in shadow.
@@ -78,7 +80,7 @@ class MitsubaRenderer:
         """
         check_outside(self._mesh, view.T_cam_body.camera_position_m)
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
-        window = body_window(view, self._outline_m)
+        window = body_window(view, self.outline_m)
         if window is not None:
             for strip in window.strips(max(1, _MAX_SAMPLES // (window.width * self._samples_per_pixel))):
                 # Strips are whole rows of pixels: the samples of a pixel are never divided.
@@ -101,7 +103,7 @@ class MitsubaRenderer:
         check_outside(self._mesh, view.T_cam_body.camera_position_m)
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
         derivatives = np.zeros((6, *image.shape), dtype=np.float32)
-        window = body_window(view, self._outline_m)
+        window = body_window(view, self.outline_m)
         if window is not None:
             # Each sample is repeated for the six parameters.
             for strip in window.strips(max(1, _MAX_SAMPLES // (6 * window.width * self._samples_per_pixel))):

@@ -1,6 +1,9 @@
 """`boresight predict`: a table without images, beside the errors of a run, and what is refused."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 from tiny_campaign import DATABASE, SCENE, write_campaign
 from tiny_sequences import write_sequences
@@ -67,6 +70,46 @@ def test_landmarks_are_predicted_with_the_range_of_an_altimeter(cache, tmp_path)
     assert others == ["on-sift"]  # the base has no predictor
     found = predict_errors(campaign, 3, tmp_path / "products", print).set_index(["estimator", "trial"])["range_m"]
     assert found.notna().all() and (found["landmark-altimeter"] < 0.8 * found["landmark-harris"]).all()
+
+
+DESIGNS = """\
+grid:
+  axes:
+    fov: {key: camera.fov_deg, values: [10, 20, 30, 40]}
+    error: {key: viewpoint.range_m, values: [4000, 5000, 6000]}
+"""
+VIEWS = (
+    "body: {shape: apophis-like}\ncamera: {width_px: 128, height_px: 128, fov_deg: 10}\nviewpoint: {range_m: 4000}\n"
+    "lighting: {phase_deg: 30}\npose_error: {position_cam_m: {normal: [30, 30, 100]}}\n"
+)
+
+
+def test_a_grid_of_designs_is_written_and_its_best_and_worst_are_printed(cache, tmp_path, capsys):
+    file, out = write_campaign(tmp_path, LIMB + DESIGNS, VIEWS), tmp_path / "designs.csv"
+    assert main(["predict", str(file), "--trials", "2", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    table = pd.read_csv(out)
+    assert list(table)[:6] == ["scenario", "fov", "error_level", "estimator", "error", "predicted"], (
+        "one axis is renamed"
+    )
+    assert len(table) == 4 * 3 * 4, "a line for each scenario and error"
+    assert set(table["n"]) == {2}
+    assert "of 12 scenarios the 3 best and 3 worst" in printed and f"all 48 lines are in {out}" in printed
+    lines = [line.split()[0] for line in printed.splitlines() if "range, m" in line]
+    ranges = table[table["error"] == "range_m"].sort_values("predicted")["scenario"]
+    assert lines == [*ranges[:3], *ranges[-3:]]
+    wide = table[table["error"] == "sight_urad"].pivot_table(index="error_level", columns="fov", values="predicted")
+    assert (np.diff(wide.to_numpy(), axis=1) > 0.0).all(), "a wider field has larger pixels"
+    assert main(["predict", str(file), "--trials", "2", "--out", str(tmp_path / "designs.json")]) == 0
+    assert [one["predicted"] for one in json.loads((tmp_path / "designs.json").read_text())] == pytest.approx(
+        table["predicted"].to_list()
+    )
+
+
+def test_a_table_of_another_ending_is_refused(orbits, capsys):
+    assert main(["predict", str(orbits), "--out", "designs.parquet"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--out designs.parquet: ends neither in .csv nor in .json" in line
 
 
 def test_an_estimator_without_a_predictor_alone_is_refused(orbits, capsys):
