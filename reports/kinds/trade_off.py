@@ -246,7 +246,7 @@ class _Front:
 
     def _difference(self, name: str, i: int, j: int) -> FloatArray:
         found = self._values[name][i] - self._values[name][j]
-        return found[np.isfinite(found)]
+        return np.asarray(found[np.isfinite(found)], dtype=np.float64)
 
     def _is_better(self, name: str, i: int, j: int) -> bool:
         """Whether the interval of the median, or of the rate, of paired differences is below 0."""
