@@ -252,8 +252,8 @@ def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
         facts=card,
         closing=[("How the numbers are made", [note for note in content.notes if note not in said])],
         grids=report_grids(content),
-        lead=next(iter(leads), None),
-        figures=[*leads[1:], *(figure for figure in figures if figure not in leads)],
+        leads=leads,
+        figures=[figure for figure in figures if figure not in leads],
         command=reproduce_command(content),
         credits=manifest.credits,
     ).markdown()

@@ -42,7 +42,7 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> t
         title=f"{as_title(found.metric.label)} compared",
         facts=list(facts(found)),
         grids=grids,
-        lead=lead,
+        leads=[lead],
         figures=figures,
         command=command,
         credits=found.credits,
@@ -107,13 +107,15 @@ def write_sensitivity(
             ),
         ],
         grids=[grid],
-        lead=NamedFigure(
-            "sensitivity",
-            figure,
-            "Indices of each varied key with their 95 % intervals, and the outcome of every sample against each key."
-            " The dashed line is the outcome with no key varied.",
-            "Indices and outcomes of each varied key",
-        ),
+        leads=[
+            NamedFigure(
+                "sensitivity",
+                figure,
+                "Indices of each varied key with their 95 % intervals, and the outcome of every sample against each"
+                " key. The dashed line is the outcome with no key varied.",
+                "Indices and outcomes of each varied key",
+            )
+        ],
         command=manifest.command,
         credits=manifest.credits,
     )

@@ -25,7 +25,7 @@ class Document:
     """Content of a page that a command, the ``product``, writes.
 
     ``facts`` are names and values of the card below the heading, ``lists`` titles and lines before the tables, and
-    ``closing`` after the figures. The ``lead`` is the figure after the first table, ``figures`` come after all.
+    ``closing`` after the figures. The ``leads`` are figures after the first table, ``figures`` come after all.
     ``command`` makes the page again; ``credits`` are the credit lines of real images.
     """
 
@@ -36,13 +36,13 @@ class Document:
     lists: Sequence[tuple[str, Sequence[str]]] = ()
     closing: Sequence[tuple[str, Sequence[str]]] = ()
     figures: Sequence[NamedFigure] = ()
-    lead: NamedFigure | None = None
+    leads: Sequence[NamedFigure] = ()
     command: str = ""
     credits: Sequence[str] = ()
 
     def drawn(self) -> list[NamedFigure]:
-        """List all figures, the lead first."""
-        return [*([self.lead] if self.lead else []), *self.figures]
+        """List all figures, the leads first."""
+        return [*self.leads, *self.figures]
 
     def on_page(self) -> list[Grid]:
         """List the tables without their lines on the onboard knowledge where the card says it in full."""
@@ -53,11 +53,10 @@ class Document:
         """Write the page as Markdown, with its figures in the same folder."""
         tables = [grid.markdown() for grid in self.grids]
         figures = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in self.drawn()]
-        led = len(figures) - len(self.figures)
         title = re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(self.title.split()))
         parts = [f"# {title}", _bullets(f"{name}: {value}" for name, value in self.facts)]
         first, last = ([_section(*one) for one in lists if one[1]] for lists in (self.lists, self.closing))
-        parts += [*first, *tables[:1], *figures[:led], *tables[1:], *figures[led:], *last]
+        parts += [*first, *tables[:1], *figures[: len(self.leads)], *tables[1:], *figures[len(self.leads) :], *last]
         parts += [f"To make this again: `{self.command}`"] if self.command else []
         return "\n\n".join(part for part in (*parts, *self.credits) if part) + "\n"
 

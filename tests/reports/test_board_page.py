@@ -97,7 +97,8 @@ def test_the_first_screen_has_requirement_verdict_and_error_over_range(builder):
     body = page[page.index("<body>") :]
     shown = re.findall(r'<dd>([^<]*confidence[^<]*)</dd>|<h2[^>]*>(.*?)</h2>|<img [^>]*alt="([^"]*)"', body)
     assert [next(filter(None, one)) for one in shown[:2]] == [required, "Requirements"]
-    assert "against the range" in shown[2][2]
+    assert shown[2][2].startswith("Bars from one quantile"), "the tornado is right after the requirements"
+    assert "against the range" in shown[3][2]
     assert text.count("Fly it.") == 1, "notes do not say again what the card says"
 
 

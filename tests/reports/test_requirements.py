@@ -259,8 +259,8 @@ def test_the_tornado_is_the_first_figure_after_the_table_of_requirements(builder
     assert (
         text.index("### Requirements")
         < text.index("](tornado_1")
-        < text.index("### What moves")
         < text.index("](error_over_range")
+        < text.index("### What moves")
     )
 
 
