@@ -25,7 +25,7 @@ STAND_INS = {
 """Built-in bodies that ``--embedded`` takes in place of shape files."""
 
 
-MOST_FACETS = 20_000_000
+MOST_FACETS = 21_000_000
 """Facets of a body with its detail, site and local shapes, at most."""
 
 SITE_FACETS = 14.0
@@ -119,7 +119,7 @@ class DetailSpec(SpecModel):
     facets: int = Field(
         ge=4,
         le=MOST_FACETS,
-        description="At least this many facets, and less than four times as many; 20 million are made at most",
+        description="At least this many facets, and less than four times as many; 21 million are made at most",
     )
     seed: int = Field(0, ge=0, description="Seed of all relief and albedo of this section")
     boulders: BoulderSpec | None = None

@@ -14,14 +14,14 @@ SITE = {"direction": [0.2, 1.0, 0.3], "radius_m": 60.0, "edge_m": 4.0}
 
 
 def test_what_is_made_is_bounded_and_not_what_is_asked_for():
-    """A sphere of 5,120 facets: 13 million would be 20,971,520."""
+    """A shape of 49,152 facets: 13 million would be 50 million; a sphere of 5,120 may have 20,971,520."""
     with pytest.raises(BoresightError) as refused:
-        load_body(BodySpec(shape="sphere", detail={"facets": 13_000_000}))
+        load_body(BodySpec(shape="itokawa-like", detail={"facets": 13_000_000}))
     assert str(refused.value) == (
-        "detail.facets: 13,000,000 makes 20,971,520 facets of the 5,120 of the shape, each four of one, and 20,000,000"
-        " are the most: give 5242880 or less"
+        "detail.facets: 13,000,000 makes 50,331,648 facets of the 49,152 of the shape, each four of one, and 21,000,000"
+        " are the most: give 12582912 or less"
     )
-    assert expected_facets(BodySpec(shape="sphere", detail={"facets": 5_242_880})) == 5_242_880
+    assert expected_facets(BodySpec(shape="sphere", detail={"facets": 13_000_000})) == 20_971_520
 
 
 def test_a_site_counts_with_the_body():
@@ -30,7 +30,7 @@ def test_a_site_counts_with_the_body():
     whole = BodySpec(shape="sphere", detail={"facets": 5_242_880, "site": fine})
     assert expected_facets(whole) == 5_242_880 + 14_000_000 < MOST_FACETS
     spec = BodySpec(shape="itokawa-like", detail={"facets": 7_000_000, "site": fine})
-    said = "0.1 m makes about 14,000,000 facets beside the 12,582,912 of the body, .*: give 0.14 or more"
+    said = "0.1 m makes about 14,000,000 facets beside the 12,582,912 of the body, .*: give 0.13 or more"
     with pytest.raises(BoresightError, match=f"detail.site.edge_m: {said}"):
         load_body(spec)
 
@@ -63,10 +63,10 @@ def test_large_bodies_are_told_with_their_memory_and_small_ones_are_not():
 
 
 def test_validate_tells_the_memory_before_it_refuses_a_body(capsys):
-    assert main(["validate", "quickstart", "--set", "body={shape: sphere, detail: {facets: 13000000}}"]) == 2
+    assert main(["validate", "quickstart", "--set", "body={shape: itokawa-like, detail: {facets: 13000000}}"]) == 2
     said = capsys.readouterr()
-    assert "the body has about 20,971,520 facets: each process" in " ".join(said.out.split())
-    assert "detail.facets: 13,000,000 makes 20,971,520 facets" in said.err
+    assert "the body has about 50,331,648 facets: each process" in " ".join(said.out.split())
+    assert "detail.facets: 13,000,000 makes 50,331,648 facets" in said.err
 
 
 def test_edges_of_the_body_and_of_its_site_are_told_apart():
