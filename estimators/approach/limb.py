@@ -106,8 +106,8 @@ class LimbEstimator:
     of the shape's facets there, give sub-pixel points, and distances along the normals are minimised. The light is
     shared by Lambert's law and that of Lommel and Seeliger as in the whole image; cast shadows are left out. The three
     coordinates of the position are fused with the prior; the attitude stays that of the prior. The covariance holds the
-    scatter of the points, a bias, which is at least as large as the scatter where the frame cuts the body, and what the
-    error of the prior's attitude does to the position. Half of the bias's variance is stated as common to all images.
+    scatter of the points, a bias, which is at least as large as the scatter, and what the error of the prior's attitude
+    does to the position. Half of the bias's variance is stated as common to all images.
 
     Use it when
     -----------
@@ -131,7 +131,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 10
+    version: ClassVar[int] = 11
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
@@ -186,9 +186,10 @@ class LimbEstimator:
             measured = weighted.T @ (share * residual_px + points.by_position @ off_m)
             arc = points.ray * _ARCS // count
             noise = grouped_covariance(weighted * residual_px[:, None], arc, 3)
-            # The points of a cut body are on a short arc, of which a misfit of the shape may move all.
-            noise += _bias_covariance(max(self._options.bias_px, misfit_px * body.cut), weighted, arc)
-            common = np.sqrt(0.5) * self._options.bias_px * weighted.sum(axis=0)
+            # Errors of heights scatter the points, and move all outwards: an outline is where heights are greatest.
+            bias_px = max(self._options.bias_px, misfit_px)
+            noise += _bias_covariance(bias_px, weighted, arc)
+            common = np.sqrt(0.5) * bias_px * weighted.sum(axis=0)
             found = fuse(observation, measured, by_pose, noise, common)
         if found.pose is not None and found.covariance is not None:
             found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
