@@ -162,8 +162,9 @@ def sky_slope(image: NDArray[np.float32], noise: float) -> NDArray[np.float32] |
 
     Light of the body only adds. So the plane is fitted to the medians of blocks of the image, and those above it by
     more than the noise of a pixel, ``noise``, are left out until none is. The slope counts if the rest is an eighth of
-    all blocks, as wide and as high as half the frame, and if it is steeper than five standard deviations and than the
-    noise over the frame.
+    all blocks, as wide and as high as half the frame, if it is known to five standard deviations, and if the sky
+    differs over the frame by five of a pixel, which are taken for light. Dust around the comet 67P makes it differ by
+    two or three, and is no plane.
     """
     height, width = image.shape
     side = max(4, min(height, width) // _SKY_BLOCKS)
@@ -182,7 +183,7 @@ def sky_slope(image: NDArray[np.float32], noise: float) -> NDArray[np.float32] |
     fall, apart = fit[:2], medians[kept] - plane[kept] @ fit
     centred = plane[kept, :2] - plane[kept, :2].mean(axis=0)
     certain = fall @ (centred.T @ centred) @ fall > _SIGMAS**2 * apart.var()
-    if noise == 0.0 or not certain or np.abs(fall).sum() < noise or np.ptp(plane[kept, :2], axis=0).min() < 0.5:
+    if noise == 0.0 or not certain or np.abs(fall).sum() < _SIGMAS * noise or np.ptp(plane[kept, :2], axis=0).min() < 0.5:
         return None
     x, y = (np.arange(size, dtype=np.float32) / np.float32(size) for size in (width, height))
     return np.asarray(np.float32(fall[0]) * x + np.float32(fall[1]) * y[:, None], dtype=np.float32)
