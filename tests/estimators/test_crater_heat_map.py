@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from crater_scenes import CAMERA, crests, frame_of, image_of, scattered
+from cv2 import dilate
 from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate2d
 
@@ -46,17 +47,37 @@ def reference(weights, channels):
     return layer("head", x)
 
 
-def test_the_network_is_scipys_correlations():
-    rng = np.random.default_rng(2)
-    weights = {
+def random_network(rng):
+    """Draw weights that keep the spread of the layers."""
+    return {
         name: (rng.normal(size=shape) / np.sqrt(max(np.prod(shape[1:]), 4.0))).astype(np.float32)
         for name, shape in SHAPES.items()
     }
+
+
+def test_the_network_is_scipys_correlations():
+    rng = np.random.default_rng(2)
+    weights = random_network(rng)
     channels = rng.normal(size=(2, 32, 48)).astype(np.float32)
     expected = reference(weights, channels)
-    found = HeatMapNetwork(weights).forward(channels)
+    found = HeatMapNetwork(weights).forward(channels, np.ones((32, 48)))
     assert np.std(expected) > 0.1
     np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=2e-5)
+
+
+def test_the_network_on_the_ground_is_that_of_the_whole_image():
+    """The ground is a disc, with a hole, in an image that is wider than the pieces in which layers are computed."""
+    rng = np.random.default_rng(6)
+    network, shape = HeatMapNetwork(random_network(rng)), (352, 800)
+    channels = rng.normal(size=(2, *shape)).astype(np.float32)
+    v, u = np.indices(shape)
+    apart = np.hypot(u - 330.0, v - 170.0)
+    ground = (apart < 60.0) & (apart > 30.0) | (abs(u - 710) < 8) & (abs(v - 200) < 8)
+    whole, found = (network.forward(channels, part) for part in (np.ones(shape), ground))
+    near = dilate(ground.astype(np.uint8), np.ones((5, 5), np.uint8))[::2, ::2] > 0
+    assert np.ptp(whole[:, :, near]) > 1.0
+    np.testing.assert_allclose(found[:, :, near], whole[:, :, near], atol=1e-5)
+    assert np.all(np.isneginf(found[:, 0, :, :80])) and np.all(np.isfinite(whole))
 
 
 def test_channels_are_scipys_local_mean_and_deviation():

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.estimators.craters.learned.proposals import halved
 from boresight.scenarios.arrays import FloatArray, Image, IndexArray
@@ -23,7 +25,7 @@ BANDS_PX = (2.5, 4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
 OUTPUTS = 6  # of each band: logit, place along x and y, log radius, elongation along and across
 DEEPEST = 16  # pixels of the image for one of the coarsest layer: sides are multiples of it
 WINDOW_PX = 20.0  # standard deviation of the window that evens brightness and contrast out
-_AT_ONCE = 4096  # places of a layer that are multiplied at once: their inputs fit the cache
+_AT_ONCE = 32  # blocks of ``DEEPEST`` pixels that are multiplied at once: their inputs fit the cache
 
 _CONVOLUTIONS = {
     "stem": (8, 24, 3), "second": (24, 24, 3), "down4": (24, 48, 3), "quarter": (48, 48, 3), "down8": (48, 64, 3),
@@ -37,52 +39,81 @@ SHAPES: dict[str, tuple[int, ...]] = {
 SHAPES |= {f"{name}_bias": (outputs,) for name, (_, outputs, _) in _CONVOLUTIONS.items()}
 
 
+class _Pieces(NamedTuple):
+    """Row, first column and end of runs of blocks of ``DEEPEST`` pixels, and how many rows the image has."""
+
+    runs: list[tuple[int, int, int]]
+    rows: int
+
+
+def _pieces(blocks: NDArray[np.uint8]) -> _Pieces:
+    """Return runs from the first to the last block of each row that is not 0, cut to ``_AT_ONCE`` blocks."""
+    runs = []
+    for row, columns in enumerate(np.flatnonzero(one) for one in blocks):
+        if len(columns):
+            end = int(columns[-1]) + 1
+            runs += [(row, first, min(first + _AT_ONCE, end)) for first in range(int(columns[0]), end, _AT_ONCE)]
+    return _Pieces(runs, len(blocks))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeatMapNetwork:
     """Weights by name, of the shapes in ``SHAPES``."""
 
     weights: Mapping[str, Image]
 
-    def forward(self, channels: Image) -> Image:
+    def forward(self, channels: Image, ground: Image) -> Image:
         """Return (bands, OUTPUTS, H / 2, W / 2) for the two channels (2, H, W) of an image.
 
-        H and W are multiples of ``DEEPEST``.
+        H and W are multiples of ``DEEPEST``. Outputs are computed where ``ground`` (H, W) is not 0 and 2 pixels beyond;
+        those farther away are arbitrary, their logits at last minus infinity.
         """
         _, height, width = channels.shape
+        blocks = ground.reshape(height // DEEPEST, DEEPEST, width // DEEPEST, DEEPEST).any(axis=(1, 3)).view(np.uint8)
+        # Outputs depend on the layers down to the deepest within 5 blocks, and on those back up within one.
+        far, close = (cv2.dilate(blocks, np.ones((2 * reach + 1,) * 2, np.uint8)) for reach in (5, 1))
+        down, up = _pieces(far), _pieces(close)
+        x = np.zeros((8, height // 2 + 2, width // 2 + 2), dtype=np.float32)
         folded = channels.reshape(2, height // 2, 2, width // 2, 2).transpose(0, 2, 4, 1, 3)
-        two = self._convolve("second", self._convolve("stem", folded.reshape(8, height // 2, width // 2)))
-        four = self._convolve("quarter", self._convolve("down4", two, 2))
-        eight = self._convolve("eighth", self._convolve("down8", four, 2))
-        x = self._convolve("deep2", self._convolve("deep1", self._convolve("down16", eight, 2)))
-        for skip, side, up in ((eight, "side8", "up8"), (four, "side4", "up4"), (two, "side2", "up2")):
-            x = self._convolve(up, skip + self._mix(side, x).repeat(2, axis=1).repeat(2, axis=2))
-        return self._mix("head", x).reshape(len(BANDS_PX), OUTPUTS, height // 2, width // 2)
+        x[:, 1:-1, 1:-1] = folded.reshape(8, height // 2, width // 2)
+        two = self._convolve("second", self._convolve("stem", x, down), down)
+        four = self._convolve("quarter", self._convolve("down4", two, down, 2), down)
+        eight = self._convolve("eighth", self._convolve("down8", four, down, 2), down)
+        x = self._convolve("deep1", self._convolve("down16", eight, down, 2), down)
+        x = self._convolve("deep2", x, down, then="side8")
+        for skip, name, then in ((eight, "up8", "side4"), (four, "up4", "side2"), (two, "up2", "head")):
+            skip[:, 1:-1, 1:-1] += x[:, 1:-1, 1:-1].repeat(2, axis=1).repeat(2, axis=2)
+            x = self._convolve(name, skip, up, then=then)
+        found = x[:, 1:-1, 1:-1].reshape(len(BANDS_PX), OUTPUTS, height // 2, width // 2)
+        cells = DEEPEST // STRIDE
+        found[:, 0][:, close.repeat(cells, axis=0).repeat(cells, axis=1) == 0] = -np.inf
+        return found
 
-    def _mix(self, name: str, x: Image) -> Image:
-        """Convolve (C, H, W) by a kernel of 1 x 1."""
-        kernel, bias = self.weights[f"{name}_kernel"], self.weights[f"{name}_bias"]
-        found = kernel[:, :, 0, 0] @ x.reshape(len(x), -1) + bias[:, None]
-        return np.asarray(found.reshape(-1, *x.shape[1:]), dtype=np.float32)
+    def _convolve(self, name: str, x: Image, pieces: _Pieces, stride: int = 1, then: str = "") -> Image:
+        """Convolve (C, H + 2, W + 2) by a kernel of 3 x 3, set what is negative to 0, and ``then`` mix the channels.
 
-    def _convolve(self, name: str, x: Image, stride: int = 1) -> Image:
-        """Convolve (C, H, W) by a kernel of 3 x 3, with zeros beyond the border, and set what is negative to 0."""
+        The result (C', H / stride + 2, W / stride + 2) is 0 along its border and beyond the pieces.
+        """
         kernel, bias = self.weights[f"{name}_kernel"], self.weights[f"{name}_bias"]
-        inputs, height, width = x.shape[0], x.shape[1] // stride, x.shape[2] // stride
-        padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
+        inputs, height, width = x.shape[0], (x.shape[1] - 2) // stride, (x.shape[2] - 2) // stride
         flat = np.ascontiguousarray(kernel.transpose(0, 2, 3, 1).reshape(len(kernel), -1))
-        found = np.empty((len(kernel), height, width), dtype=np.float32)
-        rows = max(_AT_ONCE // width, 1)
-        taps = np.empty((9, inputs, rows, width), dtype=np.float32)
-        for first in range(0, height, rows):
-            n = min(rows, height - first)
-            strip = taps if n == rows else np.empty((9, inputs, n, width), dtype=np.float32)
+        outputs = len(self.weights[f"{then or name}_bias"])
+        found = np.zeros((outputs, height + 2, width + 2), dtype=np.float32)
+        side = height // pieces.rows  # places of the layer along a block
+        room = np.empty(flat.shape[1] * side * side * _AT_ONCE, dtype=np.float32)
+        for row, first, end in pieces.runs:
+            top, left, columns = row * side, first * side, (end - first) * side
+            taps = room[: flat.shape[1] * side * columns].reshape(9, inputs, side, columns)
             for k in range(9):
-                row, column = first * stride + k // 3, k % 3
-                strip[k] = padded[:, row : row + n * stride : stride, column : column + width * stride : stride]
-            value = flat @ strip.reshape(9 * inputs, -1)
+                v, u = top * stride + k // 3, left * stride + k % 3
+                taps[k] = x[:, v : v + side * stride : stride, u : u + columns * stride : stride]
+            value = flat @ taps.reshape(flat.shape[1], -1)
             value += bias[:, None]
             np.maximum(value, 0.0, out=value)
-            found[:, first : first + n] = value.reshape(-1, n, width)
+            if then:
+                value = self.weights[f"{then}_kernel"][:, :, 0, 0] @ value
+                value += self.weights[f"{then}_bias"][:, None]
+            found[:, 1 + top : 1 + top + side, 1 + left : 1 + left + columns] = value.reshape(-1, side, columns)
         return found
 
 
@@ -172,12 +203,12 @@ def _search_level(
     """Return rims (n, 5) u, v, a, b, angle and logits (n,) at one resolution."""
     turn = Turn.of(image.shape[1], image.shape[0], sun_px)
     inside = (turn.apply(ground) > 0.99).astype(np.float32)
-    outputs = network.forward(contrast_channels(turn.apply(image), inside)).astype(np.float64)
+    outputs = network.forward(contrast_channels(turn.apply(image), inside), inside)
     band, row, column = _maxima(outputs[:, 0], least_logit)
-    logit = outputs[band, 0, row, column]
+    logit = outputs[band, 0, row, column].astype(np.float64)
     order = np.argsort(-logit, kind="stable")[:most]
     band, row, column, logit = band[order], row[order], column[order], logit[order]
-    moved_x, moved_y, log_radius, along, across = outputs[band, 1:, row, column].T
+    moved_x, moved_y, log_radius, along, across = outputs[band, 1:, row, column].astype(np.float64).T
     middle = np.array(BANDS_PX)[band]
     place = (np.stack([column, row], axis=1) + 0.5) * STRIDE + middle[:, None] * np.stack([moved_x, moved_y], axis=1)
     # The elongation (a - b) / (a + b), as a vector by twice the angle of the longer axis.
@@ -189,7 +220,7 @@ def _search_level(
     return np.concatenate([turn.back(place), rims], axis=1), logit
 
 
-def _maxima(logit: FloatArray, least: float) -> tuple[IndexArray, ...]:
+def _maxima(logit: Image, least: float) -> tuple[IndexArray, ...]:
     """Return bands, rows and columns of maxima within 3 x 3 cells of each band (bands, H, W) that exceed ``least``."""
     top = np.stack([cv2.dilate(one, np.ones((3, 3), np.uint8)) for one in logit])
     return np.nonzero((logit >= top) & (logit > least))
