@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from boresight.estimators.craters.detection.preparation import PreparedImage
-from boresight.estimators.craters.kernels import NetworkWeights, apply_network
+from boresight.estimators.craters.kernels import LANES, NetworkWeights, apply_network
 from boresight.estimators.craters.learned.proposals import pyramid
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
@@ -90,14 +90,17 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> tuple[Image, Image]:
     step = ellipses.radius_px * (2.0 * REACH / SIDE)
     level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
     for i in np.unique(level):
-        rows = np.flatnonzero(level == i)
-        u, v = patch_grid(ellipses[rows], source.sun_px, int(i))
-        found = cv2.remap(source.levels[i], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        pixels[rows] = found.reshape(-1, SIDE, SIDE)
+        listed = np.flatnonzero(level == i)
+        # Part by part, so that the places of their samples fit the cache.
+        for rows in np.array_split(listed, len(listed) // LANES + 1):
+            u, v = patch_grid(ellipses[rows], source.sun_px, int(i))
+            found = cv2.remap(source.levels[i], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            pixels[rows] = found.reshape(-1, SIDE, SIDE)
     mean = pixels.mean(axis=(1, 2))
     spread = np.maximum(pixels.std(axis=(1, 2)), 1e-9)
     # Brightness and contrast are divided out of the patch, and enter as separate inputs with a range of about -3 to 3.
-    even = (pixels - mean[:, None, None]) / spread[:, None, None]
+    pixels -= mean[:, None, None]
+    pixels /= spread[:, None, None]
     level_of = np.maximum(mean, 1e-3 * float(source.levels[0].max()))
     scalars = np.stack(
         [
@@ -109,7 +112,7 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> tuple[Image, Image]:
         ],
         axis=1,
     )
-    return np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32)
+    return np.clip(pixels, -4.0, 4.0, out=pixels)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32)
 
 
 def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
