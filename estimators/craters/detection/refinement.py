@@ -64,6 +64,8 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
     A rim that moves by more than a third of its radius, or changes its axes by more than a factor of 1.5, is left as it
     was. ``gap`` is that of `side_weights`, and ``rounds`` are the most iterations of conjugate gradients.
     """
+    if rounds == 0:
+        return ellipses
     start = parameters(ellipses)
     rows = scales.of(ellipses.radius_px)
     found = start.copy()
