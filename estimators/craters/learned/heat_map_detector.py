@@ -100,7 +100,7 @@ class CraterHeatMap:
     """
 
     name: ClassVar[str] = "crater-heat-map"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = HeatMapOptions
 
     options: HeatMapOptions
