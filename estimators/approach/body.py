@@ -183,7 +183,8 @@ def sky_slope(image: NDArray[np.float32], noise: float) -> NDArray[np.float32] |
     fall, apart = fit[:2], medians[kept] - plane[kept] @ fit
     centred = plane[kept, :2] - plane[kept, :2].mean(axis=0)
     certain = fall @ (centred.T @ centred) @ fall > _SIGMAS**2 * apart.var()
-    if noise == 0.0 or not certain or np.abs(fall).sum() < _SIGMAS * noise or np.ptp(plane[kept, :2], axis=0).min() < 0.5:
+    counts = certain and np.abs(fall).sum() >= _SIGMAS * noise
+    if noise == 0.0 or not counts or np.ptp(plane[kept, :2], axis=0).min() < 0.5:
         return None
     x, y = (np.arange(size, dtype=np.float32) / np.float32(size) for size in (width, height))
     return np.asarray(np.float32(fall[0]) * x + np.float32(fall[1]) * y[:, None], dtype=np.float32)
