@@ -187,10 +187,8 @@ class LimbEstimator:
             arc = points.ray * _ARCS // count
             noise = grouped_covariance(weighted * residual_px[:, None], arc, 3)
             # Errors of heights scatter the points, and move all outwards: an outline is where heights are greatest.
-            bias_px = max(self._options.bias_px, misfit_px)
-            noise += _bias_covariance(bias_px, weighted, arc)
-            common = np.sqrt(0.5) * bias_px * weighted.sum(axis=0)
-            found = fuse(observation, measured, by_pose, noise, common)
+            by_bias, common = _bias(max(self._options.bias_px, misfit_px), weighted, arc)
+            found = fuse(observation, measured, by_pose, noise + by_bias, common)
         if found.pose is not None and found.covariance is not None:
             found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)
@@ -219,10 +217,8 @@ class LimbEstimator:
         if points is None or len(points.ray) < self._options.points_min:
             return None
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])
-        noise = _POINT_PX**2 * by_pose[:, 3:]
-        noise += _bias_covariance(self._options.bias_px, points.by_position, points.ray * _ARCS // count)
-        common = np.sqrt(0.5) * self._options.bias_px * points.by_position.sum(axis=0)
-        found = fuse(planned, np.zeros(3), by_pose, noise, common)
+        by_bias, common = _bias(self._options.bias_px, points.by_position, points.ray * _ARCS // count)
+        found = fuse(planned, np.zeros(3), by_pose, _POINT_PX**2 * by_pose[:, 3:] + by_bias, common)
         if found.covariance is None:
             return None
         return replace(found, covariance=found.covariance + planned.calibration_covariance(pose))
@@ -386,10 +382,11 @@ class LimbEstimator:
         return f"the fit of the limb's points does not settle in {_MOST_STEPS} steps"
 
 
-def _bias_covariance(bias_px: float, scores: FloatArray, arc: IndexArray) -> FloatArray:
-    """Covariance (3, 3) of the sum of scores (n, 3) by a bias, one half common to all, the other to those of an arc."""
+def _bias(bias_px: float, scores: FloatArray, arc: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance (3, 3) of the sum of scores (n, 3) by a bias, half of it by arcs, and what is common to all (3,)."""
     common = grouped_covariance(scores, np.zeros_like(arc), 0)
-    return 0.5 * bias_px**2 * (common + grouped_covariance(scores, arc, 0))
+    by_bias = 0.5 * bias_px**2 * (common + grouped_covariance(scores, arc, 0))
+    return by_bias, np.sqrt(0.5) * bias_px * scores.sum(axis=0)
 
 
 def _moved_px(limb: LimbPoints, before: Pose, after: Pose) -> float:
