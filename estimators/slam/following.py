@@ -130,8 +130,7 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
         try:
             check.check(frame)
             estimate = follower.advance(frame)
-            if not (np.isfinite(estimate.position_m).all() and np.isfinite(estimate.points_m).all()):
-                raise LostError("the estimate is not finite")  # noqa: TRY301
+            _check_estimate(estimate)
         except LostError as error:
             reason = f"frame {number}: {error}"
             break
@@ -168,6 +167,12 @@ def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: Flo
             f"the scale is no longer observable: the position is uncertain by {sigma:.3g} m"
             f" at {distance:.3g} m from the landmarks"
         )
+
+
+def _check_estimate(estimate: FrameEstimate) -> None:
+    finite = np.isfinite(estimate.position_m).all() and np.isfinite(estimate.points_m).all()
+    if not finite:
+        raise LostError("the estimate is not finite")
 
 
 class DeadReckoningOptions(SpecModel):
