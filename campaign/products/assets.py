@@ -40,7 +40,7 @@ _FAILURE = "unmade.txt"
 """File with the reason why a product cannot be built, in place of the product."""
 
 _BYTES = 12
-"""Of a vertex or a facet on board: three numbers of 32 bits."""
+"""Bytes that a vertex or a facet takes on board: three numbers of 32 bits."""
 
 _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
@@ -94,7 +94,7 @@ class MissingProduct:
 
 @dataclass(frozen=True, slots=True)
 class OnboardShape:
-    """The shape that an estimator holds on board, ``facets`` and ``bytes`` at 12 for each vertex and facet."""
+    """The size of the shape that an estimator has on board: its ``facets``, and ``bytes`` for them and the vertices."""
 
     scenario: str
     estimator: str
@@ -103,7 +103,7 @@ class OnboardShape:
 
 
 Prepared = BuiltProduct | MissingProduct | OnboardShape
-"""What is known of a method before the first trial."""
+"""What a method is found to need before the first trial."""
 
 
 class EstimatorAssets(Handle):

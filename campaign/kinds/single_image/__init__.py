@@ -234,7 +234,7 @@ class SingleImage(ImageMethods[ImageDraw, Estimate]):
 
     @classmethod
     def predicts(cls, entry: EstimatorSpec) -> bool:
-        """Whether an estimator predicts, and all those that it builds on."""
+        """Tell whether an estimator and all estimators that it builds on have a predictor."""
         return all(hasattr(estimator_class(name), "predict") for name in cls.method_names(entry))
 
     def predictors(self, trial: int) -> Mapping[str, Prediction]:
