@@ -12,12 +12,15 @@ from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
 from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.consistency import POSE_DEGREES, POSITION_DEGREES
 from boresight.reports.statistics.intervals import FEW, LEVEL, content_rng, draw_counts
+from boresight.reports.statistics.measured import MEAN, measure
 from boresight.scenarios.arrays import BoolArray, FloatArray
 
 WITHIN = (0.7, 1.4)
 """Ratios of the medians that count as predicted."""
 _CENTRAL = (0.05, 0.95)
+_NEES = {"nees": POSE_DEGREES, "mean_position_nees": POSITION_DEGREES}
 _TEXT = ("seen", "method", "in the central 90 %", "verdict")
 _NOTE = (
     "Median position error of the trials with an estimate, where both have the same images of those with one in both;"
@@ -25,6 +28,8 @@ _NOTE = (
     " both where both have them; where tracks share their images, of the simulated trials alone. As predicted: it lies"
     f" within {WITHIN[0]:g} to {WITHIN[1]:g}; differs: outside; open: neither; no interval: fewer than ten images with"
     " an estimate. The central 90 % are those of the simulated errors. The real error also has that of the reference."
+    " NEES/n is the mean NEES over its degrees of freedom, of all trials with an estimate and of sequences over their"
+    " frames: 1 where covariances are true. Its intervals are those of resampled images or sequences."
 )
 
 
@@ -139,7 +144,19 @@ def reality_rows(
             "in the central 90 %": central if np.isfinite(ratio) else NO_VALUE,
             "ratio [95 %]": _printed(ratio) + of_ratio,
             "verdict": verdict(interval) if np.isfinite(ratio) else NO_VALUE,
+            "NEES/n, real": _consistency(*real, label),
+            "NEES/n, simulated": _consistency(*simulated, label),
         }
+
+
+def _consistency(run: RunData, scenario: str, estimator: str) -> str:
+    """Print the mean NEES over its degrees of freedom; no value of an estimator without a covariance."""
+    rows = run.solved(scenario, estimator)
+    column = next(name for name in _NEES if name in rows)
+    known = rows[rows[column].notna()]
+    values = known[column].to_numpy(dtype=np.float64) / _NEES[column]
+    (mean,) = measure(values, clusters_of(run, known), (MEAN,))
+    return number(mean.value) + (f" [{number(mean.low)}, {number(mean.high)}]" if mean.low is not None else "")
 
 
 def reality_grid(rows: list[dict[str, str]]) -> Grid:

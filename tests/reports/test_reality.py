@@ -91,6 +91,7 @@ def both(tmp_path):
                 builder.add(
                     "rows", trial=trial, scenario=scenario, estimator=estimator, reason="",
                     status="ok" if solved else "failed", image=f"{trial % 12}.png", n_landmarks=0,
+                    nees=6.0 * factor if solved and estimator == "lmaps" else np.nan,
                     **(error if solved else dict.fromkeys(error, np.nan)),
                 )  # fmt: skip
     scenarios = {f"views-{level}": {"name": f"views-{level}"} for level in ("real", "rendered")}
@@ -108,6 +109,7 @@ def test_the_table_has_a_line_for_each_method_that_both_have(both):
     assert (line["real, m"], line["simulated, m"]) == ("48.0", "16.0")
     assert line["ratio [95 %]"].startswith("3.00 [")
     assert (line["in the central 90 %"], line["verdict"]) == ("no", "differs")
+    assert (line["NEES/n, real"], line["NEES/n, simulated"]) == ("3.00 [3.00, 3.00]", "1.00 [1.00, 1.00]")
 
 
 def test_medians_are_of_trials_with_an_estimate_on_both_sides(both):
