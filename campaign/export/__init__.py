@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.campaign.export.kernels import Origin, flights_of, write_definitions, write_kernels
+from boresight.campaign.export.kernels import BODY_AXES, Origin, flights_of, write_definitions, write_kernels
 from boresight.campaign.export.sumfiles import write_sumfiles
 from boresight.campaign.inspection.recompute import (
     Case,
@@ -80,10 +80,10 @@ def export(
     rows = every[every["trial"].isin(checked_trials(every, trials, run))]
     if to in _TABLES:
         return _tables(folder, to, choice, trials, out)
-    if to == "spice":
-        return _kernels(folder, rows, out, shown, origin or Origin())
     # An epoch of 0 is one where other trials have others.
     timed = set(every.loc[every["image"].ne("") | every["time_s"].ne(0.0), "scenario"])
+    if to == "spice":
+        return _kernels(folder, rows, timed, out, shown, origin or Origin())
     return _poses(folder, rows, _labels(rows, timed, distinct=to == "tum"), to, out, shown)
 
 
@@ -176,26 +176,46 @@ def _poses(
 def _kernels(
     folder: RunFolder,
     rows: pd.DataFrame,
+    timed: Collection[str],
     out: Path,
     shown: Callable[[Sequence[Case]], Iterable[Case]],
     origin: Origin,
 ) -> list[Path]:
-    """Write kernels of sequences, from their stored positions, or of orbits, which are determined again."""
+    """Write kernels of sequences and single images, as they are stored, or of orbits, which are determined again."""
     campaign = reopened(folder)
     kind = campaign.spec.experiment
-    show = show_of(kind)
-    if show is None or (show.flights is None and show.trajectory is None):
-        raise BoresightError(f"trials of {kind} have no trajectory in inertial axes: export them in another format")
-    written, cases, trajectory = list[Path](), shown(cases_of(rows)), show.trajectory
+    show, cases = show_of(kind), cases_of(rows)
     every: Iterable[tuple[str, Mapping[str, Flight]]]
-    if trajectory is not None:
-        every = [(case.stem, flights_of(trajectory(campaign, folder, case))) for case in cases]
+    if show is not None and show.pooled:
+        every = list(_flights_of_images(rows, timed))
+        origin = replace(origin, axes=BODY_AXES).before(flights for _, flights in every)
+    elif show is not None and show.trajectory is not None:
+        trajectory = show.trajectory
+        every = [(case.stem, flights_of(trajectory(campaign, folder, case))) for case in shown(cases)]
         origin = origin.before(flights for _, flights in every)
-    else:  # each is written as soon as it is there; their times begin at 0
-        every = ((case.stem, _flights(campaign, folder, show, case)) for case in cases)
+    elif show is not None and show.flights is not None:  # written as soon as it is there; times begin at 0
+        every = ((case.stem, _flights(campaign, folder, show, case)) for case in shown(cases))
+    else:
+        raise BoresightError(f"trials of {kind} have no trajectory: export them in another format")
+    written = list[Path]()
     for name, flights in every:
         written += write_kernels(name, flights, origin, out)
     return [*written, write_definitions(origin, out)] if written else []
+
+
+def _flights_of_images(rows: pd.DataFrame, timed: Collection[str]) -> Iterator[tuple[str, Mapping[str, Flight]]]:
+    """Yield the flights that solved single images sample, by scenario and estimator, in body axes.
+
+    Raise BoresightError if images have no epochs or poses, or two of a flight have one epoch.
+    """
+    for name in rows["scenario"].unique():
+        if name not in timed:
+            raise BoresightError(f"{name}: images have no epochs, and make no trajectory: export them with --to tum")
+    for name, frames in _stored_images(rows, _labels(rows, timed, distinct=False)) or ():
+        frames.sort(key=lambda frame: frame.time_s)
+        if len({frame.time_s for frame in frames}) < len(frames):
+            raise BoresightError(f"{name}: trials have one epoch: name one of each epoch by --trial, or use --to tum")
+        yield name, flights_of(frames)
 
 
 def _flights(campaign: ResolvedCampaign, folder: RunFolder, show: Show, case: Case) -> Mapping[str, Flight]:

@@ -2,15 +2,15 @@
 
 The estimate has the NAIF name BORESIGHT_CAMERA, the truth BORESIGHT_TRUE_CAMERA; each is a spacecraft and a frame. The
 text kernel ``boresight.tf`` defines the names, the frames and the clock of the CK. Positions are from the body's centre
-in the inertial axes of the run, which are written as J2000. Velocities that a method does not estimate are those of a
-cubic spline through its positions. Between states SPICE interpolates by Hermite polynomials of degree 7, and attitudes
-turn at a constant rate.
+in the inertial axes of the run, which are written as J2000; those of single images are in body axes, which are a frame
+of their own. Velocities that a method does not estimate are those of a cubic spline through its positions. Between
+states SPICE interpolates by Hermite polynomials of degree 7, and attitudes turn at a constant rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,18 @@ from boresight.scenarios.spice import loaded_kernels
 
 BODY_ID = 9999999
 """NAIF identifier of the body if none is given; no body of NAIF has it."""
+
+BODY_AXES = "BORESIGHT_BODY_FIXED"
+_AXES = {
+    f"FRAME_{BODY_AXES}": "1999999",
+    "FRAME_1999999_NAME": f"'{BODY_AXES}'",
+    "FRAME_1999999_CLASS": "4",
+    "FRAME_1999999_CLASS_ID": "1999999",
+    "FRAME_1999999_CENTER": "399",  # of no account for axes that do not turn against J2000, and known to SPICE
+    "TKFRAME_1999999_RELATIVE": "'J2000'",
+    "TKFRAME_1999999_SPEC": "'MATRIX'",
+    "TKFRAME_1999999_MATRIX": "( 1 0 0 0 1 0 0 0 1 )",
+}
 
 _TICKS_PER_S = 65536  # a power of two, so that epochs keep every bit
 _SECONDS = 1 << 32  # range of the clock
@@ -51,12 +63,14 @@ _IDENTITIES = {"estimate": _Identity(-999, "BORESIGHT_CAMERA"), "truth": _Identi
 class Origin:
     """NAIF identifier of the body at the centre, and ET, s past J2000 TDB, at which the time of a run is 0.
 
-    ``clock_s`` is the time of the run at which the clock of the CK is 0. It has no time before.
+    ``clock_s`` is the time of the run at which the clock of the CK is 0. It has no time before. ``axes`` is the frame
+    that positions and attitudes refer to: J2000, or `BODY_AXES`.
     """
 
     body: int = BODY_ID
     et: float = 0.0
     clock_s: int = 0
+    axes: str = "J2000"
 
     def before(self, flights: Iterable[Mapping[str, Flight]]) -> Origin:
         """Return the origin with a clock that begins at a whole second before all flights, and not after time 0."""
@@ -65,7 +79,7 @@ class Origin:
 
 
 def flights_of(frames: Sequence[PosedFrame]) -> dict[str, Flight]:
-    """Return truth and estimate of the frames of a sequence, with poses in inertial axes; none without frames."""
+    """Return truth and estimate of the frames of a flight, in the axes of their poses; none without frames."""
     if not frames:
         return {}
     times_s = np.array([frame.time_s for frame in frames])
@@ -109,7 +123,7 @@ def _write_spk(flight: Flight, own: _Identity, origin: Origin, path: Path) -> No
     states_km = np.hstack([flight.positions_m, velocities]) / _M_PER_KM
     with _new_file(path, own, spiceypy.spkopn, spiceypy.spkcls) as handle:
         spiceypy.spkw13(
-            handle, own.spacecraft, origin.body, "J2000", epochs[0], epochs[-1], own.name,
+            handle, own.spacecraft, origin.body, origin.axes, epochs[0], epochs[-1], own.name,
             min(_DEGREE, 2 * len(epochs) - 1), len(epochs), states_km, epochs,
         )  # fmt: skip
 
@@ -121,7 +135,7 @@ def _write_ck(flight: Flight, own: _Identity, origin: Origin, path: Path) -> Non
     with _new_file(path, own, spiceypy.ckopn, spiceypy.ckcls) as handle:
         quat_wxyz = np.array([spiceypy.m2q(matrix) for matrix in flight.R_cam_inertial[first]])
         spiceypy.ckw03(
-            handle, ticks[0], ticks[-1], own.frame, "J2000", False, own.name, len(ticks), ticks, quat_wxyz,
+            handle, ticks[0], ticks[-1], own.frame, origin.axes, False, own.name, len(ticks), ticks, quat_wxyz,
             np.zeros((len(ticks), 3)), 1, ticks[:1],
         )  # fmt: skip
 
@@ -130,9 +144,12 @@ def _write_ck(flight: Flight, own: _Identity, origin: Origin, path: Path) -> Non
 def _new_file(
     path: Path, own: _Identity, begin: Callable[[str, str, int], int], end: Callable[[int], None]
 ) -> Iterator[int]:
-    """Open a file for writing and close it; errors of SPICE become BoresightErrors."""
+    """Open a file for writing and close it, with the body's axes known; errors of SPICE become BoresightErrors."""
     # Without kernels, the context only keeps other threads from SPICE and converts its errors.
-    with loaded_kernels([]):
+    with loaded_kernels([]), ExitStack() as forgotten:
+        spiceypy.lmpool([f"{name} = {value}" for name, value in _AXES.items()])
+        for name in _AXES:
+            forgotten.callback(spiceypy.dvpool, name)
         handle = begin(str(path), own.name, 0)
         try:
             yield handle
@@ -148,6 +165,8 @@ def write_definitions(origin: Origin, out: Path) -> Path:
     lines = ["KPL/FK", "", "Names, frames and clock of kernels that boresight exported.", "", r"\begindata"]
     if origin.body == BODY_ID:
         lines += ["NAIF_BODY_NAME += 'BORESIGHT_BODY'", f"NAIF_BODY_CODE += {BODY_ID}"]
+    if origin.axes == BODY_AXES:
+        lines += [f"{name} = {value}" for name, value in _AXES.items()]
     for one in _IDENTITIES.values():
         key = f"FRAME_{one.frame}"
         lines += [

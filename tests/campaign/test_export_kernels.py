@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tiny_campaign import compute
 
 from boresight.campaign.cli import main
-from boresight.campaign.export.kernels import Origin, flights_of, write_definitions, write_kernels
+from boresight.campaign.export.kernels import BODY_AXES, Origin, flights_of, write_definitions, write_kernels
 from boresight.campaign.export.sumfiles import sigma_km_rad, write_sumfiles
 from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames
@@ -208,7 +208,7 @@ def test_what_spice_refuses_is_one_line_and_leaves_no_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--to", "spice"), "have no trajectory in inertial axes"),
+        (("--to", "spice"), "images have no epochs, and make no trajectory: export them with --to tum"),
         (("--to", "tum", "--start-et", "5"), "--body-id, --start-et: of SPICE kernels alone"),
         (("--to", "spice", "--start-et", "nan"), "nan is not from"),
         (("--to", "spice", "--body-id", "99999999999"), "99999999999 is no number of NAIF"),
@@ -231,6 +231,38 @@ def test_sequences_and_orbits_name_the_formats_that_they_have(sequence, orbit, t
     ):
         assert export(run, tmp_path, "--to", kind) == 2
         assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.fixture(scope="module")
+def flyby(cache, tmp_path_factory):
+    """Five single images along a flyby and a second pass over the same states, with a prior for each."""
+    folder = tmp_path_factory.mktemp("flyby")
+    scene = "extends: quickstart\nviewpoint:\n  trajectory:\n    flyby: {periapsis_m: 2000, v_infinity_m_s: 0.1,"
+    scene += " gm_m3_s2: 4.9, duration_s: 600, step_s: 200}\n"
+    (folder / "scene.yaml").write_text(scene, encoding="utf-8")
+    (folder / "campaign.yaml").write_text(CAMPAIGN.format("single-image", "prior"), encoding="utf-8")
+    compute(folder / "campaign.yaml", folder / "run", trials=10)
+    return folder / "run"
+
+
+def test_spice_finds_single_images_in_the_axes_of_the_body(flyby, tmp_path):
+    assert export(flyby, tmp_path, "--to", "spice", "--trial", 0, 1, 2, 3, 4) == 0
+    rows = RunFolder(flyby).table("rows").set_index("trial").loc[:4]
+    assert rows["time_s"].tolist() == [-300.0, -150.0, 0.0, 150.0, 300.0]
+    with kernels(tmp_path):
+        for row in rows.to_dict("records"):
+            for name, prefix in ((CAMERA, ""), (TRUE, "true_")):
+                pose = pose_of(row, prefix)
+                state_km, _ = spiceypy.spkezr(name, row["time_s"], BODY_AXES, "NONE", "BORESIGHT_BODY")
+                np.testing.assert_allclose(1e3 * state_km[:3], pose.camera_position_m, rtol=1e-12)
+                turn = spiceypy.pxform(BODY_AXES, name, row["time_s"])
+                np.testing.assert_allclose(turn, pose.rotation, atol=1e-12)
+
+
+def test_two_images_of_one_epoch_are_no_trajectory(flyby, tmp_path, capsys):
+    assert export(flyby, tmp_path / "out", "--to", "spice") == 2
+    assert "trials have one epoch: name one of each epoch by --trial" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
 
 
 # --- `boresight export --to sum` --------------------------------------------------------------------------------------
