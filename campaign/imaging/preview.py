@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,15 +14,16 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import detailed_count, expected_facets, load_body
 from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, prior_covariance
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.sequences.trajectory import nominal_trajectory
 from boresight.scenarios.spec.body import without_detail
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.trajectory import FlownSpec, TrajectorySpec
-from boresight.scenarios.spec.world import ViewpointSpec
 
 _VIEWS, _POINTS = 40, 4000
 _FOUND_PX = 10.0  # diameter of a crater that a detector finds
@@ -124,7 +126,8 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
     if spec.viewpoint is not None and spec.viewpoint.states is not None:
         ranges = np.linalg.norm(spec.viewpoint.states.position_m[:flown], axis=1)
         ends_m = float(ranges.min()), float(np.median(ranges)), float(ranges.max())
-    sight = None if spec.viewpoint is None else _sight(scenario, spec.viewpoint, mesh, flown)
+    views = list(_views(scenario, mesh, flown))
+    sight = _sight(scenario, mesh, views) if views else None
     lines = [
         _views_in_words(scenario, camera, longest_m(scenario, mesh), ends_m, sight),
         *_states_in_words(spec, flown),
@@ -345,10 +348,27 @@ def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m
     return words if found >= 4.0 else f"{words}: too few for most methods, choose a shorter range or more craters"
 
 
-def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh, flown: int) -> _Sight:
-    """Look at points that are spread over the surface in some views that are drawn as those of trials.
+def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator[tuple[View, float]]:
+    """Yield views that are drawn as those of trials, or spread over the frames of a sequence of images; brightness.
 
-    ``flown`` is the number of states of a trajectory, from the first, that the views are spread over.
+    Views along a trajectory are spread over its first ``flown`` states, whatever its order is. None of tracks alone.
+    """
+    spec, camera, sequence = scenario.spec, scenario.spec.camera.camera(), scenario.spec.sequence
+    states = [view * max(flown - 1, 0) // (_VIEWS - 1) for view in range(_VIEWS)]
+    if spec.viewpoint is not None:
+        for trial, state in enumerate(states):
+            draws, drawn = generator(0, Stream.TRUTH, trial), drawn_together(spec, 0, trial)
+            view = draw_aimed_view(drawn.viewpoint or spec.viewpoint, drawn.lighting, camera, mesh, draws, state)
+            brightness = drawn.lighting.brightness
+            yield view, brightness if isinstance(brightness, float) else brightness.median
+    elif sequence is not None and sequence.images is not None and sequence.trajectory is not None:
+        frames = nominal_trajectory(sequence, MeshGround(mesh)).views(camera)
+        yield from ((frames[state], 1.0) for state in states)
+
+
+def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[tuple[View, float]]) -> _Sight:
+    """Look at points that are spread over the surface in some views, each with its brightness.
+
     What one part of the body hides or shades of another is not taken into account, nor is relief smaller than a facet.
     Raise BoresightError if the sphere about the body is out of the frame in all of these views.
     """
@@ -361,11 +381,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     seen = inside = dark = 0.0
     nearest_m = np.inf
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
-    for trial in range(_VIEWS):
-        # Spread over a trajectory from its first state to its last, whatever its order is.
-        state, draws = trial * max(flown - 1, 0) // (_VIEWS - 1), generator(0, Stream.TRUTH, trial)
-        drawn = drawn_together(spec, 0, trial)
-        view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
+    for view, brightness in views:
         in_view |= view.may_show(mesh.radius_m)
         phases_rad.append(view.phase_angle_rad)
         towards = view.T_cam_body.camera_position_m - places
@@ -381,13 +397,12 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         lit = framed & (cos_i > 0.0)
         cos_e = (projected * distances**2)[facing][lit]
         phase_rad = np.arccos(np.clip(towards[facing][lit] @ view.sun_dir_body / distances[facing][lit], -1.0, 1.0))
-        brightness = drawn.lighting.brightness
-        factor = brightness if isinstance(brightness, float) else brightness.median
-        values = np.pi * factor * cos_i[lit] * brdf_value(spec.brdf, cos_i[lit], cos_e, phase_rad)
+        values = np.pi * brightness * cos_i[lit] * brdf_value(spec.brdf, cos_i[lit], cos_e, phase_rad)
         lit_points.append(np.stack([values, projected[facing][lit], distances[facing][lit]], axis=1))
     if not in_view:
+        place = "sequence" if spec.viewpoint is None else "viewpoint"
         raise BoresightError(
-            f"{scenario.path}: viewpoint: nothing of the body is in the frame in {_VIEWS} views: check"
+            f"{scenario.path}: {place}: nothing of the body is in the frame in {_VIEWS} views: check"
             " camera.principal_point_px, and the attitudes of a trajectory"
         )
     found = np.concatenate(lit_points)

@@ -307,6 +307,30 @@ def test_a_sequence_flies_all_states_whatever_the_trials_are():
     assert said == "trajectory: 4 states in body axes; if they are inertial, give trajectory.rotation"
 
 
+@pytest.mark.parametrize(
+    ("sun", "phase", "dark"), [("[1, 0, 0]", "0", "and 0 %"), ("[-1, 0, 0]", "180", "and 100 %")], ids=["lit", "dark"]
+)
+def test_a_sequence_of_images_tells_the_light_and_the_nearest_ground(tmp_path, sun, phase, dark):
+    """The descent is from 300 to 20 m above a ball of 250 m: a pixel is that of the ground, not that of the centre."""
+    (tmp_path / "scene.yaml").write_text(
+        "extends: apophis-sphere-images\nbody: {shape: sphere}\nsequence:\n"
+        "  trajectory:\n    descent: {direction: [1, 0, 0], from_altitude_m: 300, to_altitude_m: 20, rate_m_s: 1,"
+        f" step_s: 20}}\n    sun_dir: {sun}\n",
+        encoding="utf-8",
+    )
+    views, _, facets, *signal = preview(load_scenario(str(tmp_path / "scene.yaml")))
+    assert f"phase angle {phase} deg in 40 views" in views and f"{dark} of the rest in the dark" in views
+    told = re.search(r"edges of ([\d.]+) m, ([\d.]+) px of the surface in view", facets)
+    m_per_px = float(told[1]) / float(told[2])
+    focal_px = 512.0 / np.tan(np.radians(15.0))
+    if phase == "0":
+        assert 20.0 < m_per_px * focal_px < 300.0
+        assert signal[0].startswith("lit surface: median")
+    else:
+        assert m_per_px * focal_px == pytest.approx(250.0 + 160.0, rel=0.05), "nothing is lit: the median range"
+        assert not signal
+
+
 def test_a_run_describes_the_states_of_its_trials(approach, tmp_path):
     (tmp_path / "campaign.yaml").write_text("scenarios: [scene.yaml]\nestimators: [centroid]\ntrials: 3\nseed: 1\n")
     read = read_campaign(str(tmp_path / "campaign.yaml"))
