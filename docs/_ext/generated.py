@@ -302,7 +302,7 @@ def _documented(name: str) -> str:
 def _estimators() -> Iterator[tuple[str, str]]:
     told = ["# Estimators", "`boresight show NAME` prints the page of an estimator in short."]
     options = ["# Options of estimators", "A campaign writes options after the name of the estimator:"]
-    options += ["```yaml\nestimators:\n  - prior\n  - landmark-ransac: {covariance_scale: 2.0}\n```"]
+    options += ["```yaml\nestimators:\n  - prior\n  - landmark-ransac: {log_evidence_min: 3}\n```"]
     for family, registry in FAMILIES.items():
         pages = [page_of(name) for name in registry.own]
         told += [f"## {family}", _table(("estimator", "what it does"), {_link(one): one.summary for one in pages})]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from boresight.estimators.landmark.database import LandmarkDatabase
@@ -15,12 +17,17 @@ _VISIBLE_SHARE = 0.5  # of views from all directions that show a point of a conv
 
 
 def planned_problem(
-    database: LandmarkDatabase, planned: Observation, scale: float = 1.0, corner_px: float = 0.0
+    database: LandmarkDatabase,
+    planned: Observation,
+    scale: float = 1.0,
+    corner_px: float = 0.0,
+    retained: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
 ) -> PoseProblem | None:
     """Set up the expected pose problem of the landmarks that are visible from the planned pose, all recognised rightly.
 
     Each is at its predicted place, with the covariance of the data base times ``scale`` and of corners that are off by
-    ``corner_px``. Its information is multiplied by the share of images that show its corner, see `recognised_shares`.
+    ``corner_px``. Its information is multiplied by the share of images that show its corner, see `recognised_shares`,
+    and by ``retained``, of places (N, 2) and their covariances (N, 2, 2): the share (N,) that is left in an estimator.
     The result is None if fewer than four are expected to be recognised.
     """
     pose, camera = planned.frame.prior_T_cam_body, planned.camera
@@ -31,8 +38,10 @@ def planned_problem(
     points_m = database.means_m[seen]
     points_cam_m = pose.transform(points_m)
     covariances = scale * image_covariances(database.covariances_m2[seen], points_cam_m, camera, pose)
-    information = shares[:, None, None] * inverse_2x2(covariances + corner_px**2 * np.eye(2))
-    return PoseProblem(points_m, camera.project(points_cam_m), information, camera)
+    covariances += corner_px**2 * np.eye(2)
+    uv_px = camera.project(points_cam_m)
+    counted = shares if retained is None else shares * retained(uv_px, covariances)
+    return PoseProblem(points_m, uv_px, counted[:, None, None] * inverse_2x2(covariances), camera)
 
 
 def recognised_shares(database: LandmarkDatabase) -> FloatArray:

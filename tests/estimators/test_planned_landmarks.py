@@ -13,6 +13,7 @@ from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.planned import planned_problem, recognised_shares
 from boresight.estimators.landmark.recognizer import LandmarkOptions, LandmarkRecognizer, translation_aligner
 from boresight.estimators.landmark.robust.estimator import ConsensusOptions, ConsensusRecognizer
+from boresight.estimators.landmark.robust.search import retained_information
 from boresight.scenarios.bodies.embedded import icosphere
 from boresight.scenarios.geometry import Camera, look_at
 from boresight.scenarios.observation import CameraSigma, Frame, Observation, RangeReading
@@ -40,10 +41,10 @@ def harris(found, **options):
     return LandmarkRecognizer(found, None, parsed, translation_aligner(parsed))
 
 
-def ransac(found, covariance_scale):
-    options = ConsensusOptions(
-        covariance_scale=covariance_scale, mixture={"covariance_scale": 1.0, "corner_sigma_px": 1e-6}
-    )
+def ransac(found, detection_probability=1.0 - 1e-12):
+    """Return the method; a landmark that is sure to be detected loses nothing among clutter."""
+    mixture = {"covariance_scale": 1.0, "corner_sigma_px": 1e-6, "detection_probability": detection_probability}
+    options = ConsensusOptions(mixture=mixture)
     return ConsensusRecognizer(found, None, options)
 
 
@@ -51,7 +52,7 @@ def ransac(found, covariance_scale):
 def test_errors_of_scipys_fits_of_drawn_landmarks_are_as_predicted(with_prior):
     """Landmarks are drawn in space by their covariances: whitened errors of 60 fits have a chi-square distribution."""
     found, rng, total = database(), np.random.default_rng(6), 0.0
-    covariance = (ransac(found, 1.0) if with_prior else harris(found)).predict(PLANNED)
+    covariance = (ransac(found) if with_prior else harris(found)).predict(PLANNED)
     problem = planned_problem(found, PLANNED)
     rows = np.flatnonzero((found.means_m[:, None] == problem.points_body_m).all(axis=2).any(axis=1))
     # The camera is above the plane of the sphere at a landmark that it sees; one beyond may have a facet that it sees.
@@ -94,15 +95,25 @@ def test_a_share_of_the_images_counts_for_each_landmark():
     np.testing.assert_allclose(harris(rare).predict(PLANNED), 4.0 * harris(database()).predict(PLANNED))
     visible = len(planned_problem(database(), PLANNED).uv_px)
     few = database(seen=3.9 / visible, images=2000)
-    assert harris(few).predict(PLANNED) is None and ransac(few, 1.0).predict(PLANNED) is None
+    assert harris(few).predict(PLANNED) is None and ransac(few).predict(PLANNED) is None
 
 
-def test_factors_and_calibration_enter():
+def test_clutter_leaves_less_of_the_information():
+    """All landmarks have the same share left if their covariances are the same; a wide prior adds next to nothing."""
     found = database()
-    plain, declared = ransac(found, 1.0).predict(PLANNED), CameraSigma(focal=1e-3)
-    np.testing.assert_allclose(ransac(found, 1.8).predict(PLANNED), 1.8 * plain)
+    found = replace(found, covariances_m2=np.repeat(0.3**2 * np.eye(3)[None], len(found), axis=0))
+    wide = replace(PLANNED, frame=replace(PLANNED.frame, prior_covariance=1e8 * PRIOR))
+    sure, robust = ransac(found).predict(wide), ransac(found, 0.02).predict(wide)
+    shares = np.linalg.eigvals(np.linalg.solve(robust, sure)).real
+    # 250 corners on the disc of a sphere that is 0.1 of its 2,000 m: 0.008 in a square pixel, sigma 0.3 px.
+    odds = 0.02 / 0.98 * np.pi * 100.0**2 / 250 / (2.0 * np.pi * 0.3**2)
+    np.testing.assert_allclose(shares, retained_information(np.array(odds)), rtol=0.1)
+
+
+def test_the_calibration_enters():
+    found, declared = database(), CameraSigma(focal=1e-3)
     off = replace(PLANNED, camera_sigma=declared)
-    for method in (harris(found), ransac(found, 1.0)):
+    for method in (harris(found), ransac(found)):
         added = method.predict(off) - method.predict(PLANNED)
         np.testing.assert_allclose(added, np.diag([0, 0, 0, 0, 0, (1e-3 * POSE.translation_m[2]) ** 2]), atol=1e-12)
     assert harris(found, pose={"method": "closed-form"}).predict(PLANNED) is None

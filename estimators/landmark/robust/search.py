@@ -5,9 +5,10 @@ projected to u_i with covariance S_i, and corners x_c of density b in the body's
 
     log L = sum_i log(1 + p / ((1 - p) b) sum_c N(x_c; u_i, S_i)),
 
-up to a constant: with probability p one of the corners is the landmark's, all others are clutter. It has the form of
-MLESAC (P. Torr and A. Zisserman, Computer Vision and Image Understanding 78, 2000), summed over assignments instead of
-maximised. Expectation maximisation with a Gaussian prior finds the pose of greatest posterior probability.
+over that of no landmark detected: with probability p one of the corners is the landmark's, all others are clutter. It
+has the form of MLESAC (P. Torr and A. Zisserman, Computer Vision and Image Understanding 78, 2000), summed over
+assignments instead of maximised. Expectation maximisation with a Gaussian prior finds the pose of greatest posterior
+probability.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import spence
 
 from boresight.estimators.landmark.matching import inverse_and_determinant
 from boresight.estimators.landmark.pose.posterior import PosePrior
@@ -51,18 +53,30 @@ class MixtureOptions(SpecModel):
 class MixtureEvaluation:
     """The mixture evaluated at H poses.
 
-    ``log_posterior`` (H,) is log likelihood and log prior, up to a constant, ``gradient`` (H, 6) its derivative by
-    [rotation_rad, translation_m], and ``hessian`` (H, 6, 6) the Gauss-Newton information, weighted by the probabilities
-    that a candidate is the landmark's corner, with that of the prior. ``candidates`` (H, N, K) are rows of the corners,
-    the nearest first; the number of corners stands for no candidate. ``squares`` (H, N, K) are their weighted squared
-    distances; infinite for no candidate.
+    ``log_posterior`` (H,) is log likelihood and log prior, over those of the prior's mean with no landmark detected,
+    and ``gradient`` (H, 6) its derivative by [rotation_rad, translation_m]. ``hessian`` (H, 6, 6) is the information of
+    the complete data: Gauss-Newton's, weighted by the probabilities that a candidate is the landmark's corner, with
+    that of the prior. ``missing`` (H, 6, 6) is lost as it is not known which candidate is the corner, if any is.
+    ``candidates`` (H, N, K) are rows of the corners, the nearest first; the number of corners stands for no candidate.
+    ``squares`` (H, N, K) are their weighted squared distances; infinite for no candidate.
     """
 
     log_posterior: FloatArray
     hessian: FloatArray
+    missing: FloatArray
     gradient: FloatArray
     candidates: IndexArray
     squares: FloatArray
+
+    @property
+    def observed_information(self) -> FloatArray:
+        """Negative second derivative (H, 6, 6) of the log posterior: information of the complete data less the missing.
+
+        T. Louis (Journal of the Royal Statistical Society B 44, 1982). Covariances and derivatives of the projection
+        are taken as constant. At a pose that is no maximum it may be indefinite.
+        """
+        observed: FloatArray = self.hessian - self.missing
+        return observed
 
 
 class Mixture:
@@ -91,8 +105,9 @@ class Mixture:
         self._prior = prior
         self._k = min(options.max_candidates, len(corners_px))
         p = options.detection_probability
-        # p / ((1 - p) b), with the density b of clutter in the hull of the corners.
-        self.odds_px2 = p / (1.0 - p) * area_px2 / len(corners_px)
+        self.odds_px2 = landmark_odds_px2(options, len(corners_px) / area_px2)
+        # Log probability that no landmark is detected.
+        self._log_none = len(points_m) * float(np.log1p(-p))
 
     def project(self, poses: PoseStack) -> FloatArray:
         """Project the landmarks at each pose, (H, N, 2)."""
@@ -133,16 +148,31 @@ class Mixture:
         jacobian = np.concatenate([by_rotation, by_point], axis=-1)
         # A landmark without a likely corner has the weight 0 and drops out of the normal equations.
         weighted = information @ jacobian
+        # Covariance of the offset, given the corners, between its candidates and the 0 of a landmark not detected.
+        spread = np.einsum("hnk,hnki,hnkj->hnij", responsibilities, offsets, offsets, optimize=True)
+        spread -= pull[..., :, None] * pull[..., None, :]
         # Maximum a posteriori: the prior adds its information, and a pull back to its mean.
         errors = self._prior.errors(poses)
         prior_pull = errors @ self._prior.information
         return MixtureEvaluation(
             np.log(total).sum(axis=1) - 0.5 * np.einsum("hp,hp->h", errors, prior_pull),
             np.einsum("hn,hnip,hniq->hpq", weight, jacobian, weighted, optimize=True) + self._prior.information,
+            np.einsum("hnip,hnij,hnjq->hpq", weighted, spread, weighted, optimize=True),
             np.einsum("hnip,hni->hp", weighted, pull, optimize=True) - prior_pull,
             near,
             square,
         )
+
+    def log_evidence(self, evaluation: MixtureEvaluation) -> FloatArray:
+        """Return the log (H,) of the probability of the corners over that of as many corners of clutter alone.
+
+        The posterior is integrated over the pose, by Laplace's approximation at a maximum, where the observed
+        information is positive definite. Of more landmarks or a wider prior chance makes a higher maximum, and no
+        larger integral.
+        """
+        observed = np.linalg.slogdet(evaluation.observed_information)[1]
+        prior = np.linalg.slogdet(self._prior.information)[1]
+        return np.asarray(evaluation.log_posterior + self._log_none + 0.5 * (prior - observed))
 
     def maximise(
         self, poses: PoseStack, corner_sigma_px: float, iterations: int, tolerance_px: float = 0.0
@@ -158,6 +188,24 @@ class Mixture:
             if np.abs(self.project(poses) - before).max() < tolerance_px:
                 break
         return poses
+
+
+def landmark_odds_px2(options: MixtureOptions, density_px2: float) -> float:
+    """Return p / ((1 - p) b), px^2: times the density of an offset, the odds that a corner is the landmark's."""
+    p = options.detection_probability
+    return p / (1.0 - p) / density_px2
+
+
+def retained_information(odds: FloatArray) -> FloatArray:
+    """Return the expected share of a corner's information that is left as it may be its landmark's or clutter.
+
+    ``odds`` k are those of a corner at the landmark's place. With offsets d from N(0, S), u = exp(-d^T S^-1 d / 2) is
+    uniform, a corner is the landmark's with probability r = k u / (1 + k u), and the observed information is S^-1 times
+    r + r (1 - r) ln u along either axis, on average. Its mean is 1 + Li2(-k) / k. Evenly spread clutter has no
+    curvature on average; what it takes from the corner's is neglected, about the detection probability of it.
+    """
+    share: FloatArray = 1.0 + spence(1.0 + odds) / odds
+    return share
 
 
 class SearchOptions(SpecModel):
