@@ -105,15 +105,18 @@ class ConsensusRecognizer:
 
     Use it when
     -----------
-    The data base is that of ``landmark-harris``, and fewer failures or a usable covariance are wanted.
+    The data base is that of ``landmark-harris``, and fewer failures or a usable covariance are wanted. Far from the
+    body too, as the prior is part of the estimate: in 50 images of ``vesta-approach`` the median error is 2.7 km (mean
+    NEES 4.6, 6 expected; ``database: {images: 200, min_observations: 10}``), that of the prior 4.8 km.
 
     It fails when
     -------------
     Fewer than four landmarks or corners are in view, no hypothesis has matches, or the pose found is no maximum. It
     fails too if the log evidence for landmarks among the corners, over clutter alone, is below ``log_evidence_min``:
-    such a pose would be chance, and its covariance wrong. So it needs an onboard model close to the truth. With that of
-    a mission, on three built-in bodies at 2 km, it answers in 1 of 180 images, with an exact one in 179 (mean NEES 6.1
-    to 15, 6 expected: ranges are too long by 0.1 %, alike in all images of a body).
+    such a pose would be chance, and its covariance wrong. So it needs an onboard model close to the truth: of 360
+    images of three built-in bodies at 2 km it answers in 7 with that of a mission, and in 357 with an exact one. The
+    mean NEES of these is 6.2, 7.5 and 15 (6 expected): ranges are too long by 0.1 to 0.2 %, alike in all images of a
+    body, which the covariance does not hold.
 
     Cost
     ----
