@@ -321,25 +321,30 @@ def _draw_births(
 def accumulated_errors_px(
     errors: TrackErrorsSpec, simulated: SimulatedTracks, poses: Sequence[Pose], camera: Camera, rng: np.random.Generator
 ) -> Iterator[FloatArray]:
-    """Yield for each frame, (n, 2), the walk and the field of its tracks; both are zero where a track begins.
+    """Yield for each frame, (n, 2), the errors of its tracks that accumulate; they are zero where a track begins.
 
-    From frame to frame a pixel takes a random step. The point that a track follows moves by ``a (s . n) n``, n its
-    outward unit normal in camera axes; the vector ``a s``, fixed in camera axes, is drawn for the sequence with a
-    standard deviation of ``field_m`` along each axis.
+    From frame to frame a pixel takes a random step of its own. Common to all tracks are: a step of ``drift_px``, drawn
+    for the sequence; a step towards the principal point, by the share ``contraction`` of the distance of the true point
+    from it; and the field. By the field the point that a track follows moves by ``a (s . n) n``, n its outward unit
+    normal in camera axes; the vector ``a s``, fixed in camera axes, is drawn for the sequence with a standard deviation
+    of ``field_m`` along each axis.
     """
+    # From a stream of its own, so that the other draws do not depend on it.
+    drift_px = errors.drift_px * rng.spawn(1)[0].normal(size=2)
     field_m = errors.field_m * rng.normal(size=3)
-    walk, moved_m = np.zeros((len(simulated.points_m), 2)), np.zeros_like(simulated.points_m)
+    moved_px, moved_m = np.zeros((len(simulated.points_m), 2)), np.zeros_like(simulated.points_m)
     previous = np.empty(0, dtype=np.int64)
     for tracks, pose in zip(simulated.seen, poses, strict=True):
         # Drawn for all tracks, so that it does not matter which go on.
         steps = errors.walk_px * noise(errors.student_t, (len(tracks), 2), rng)
         old = np.isin(tracks, previous)
-        walk[tracks[old]] += steps[old]
         normals = simulated.normals[tracks[old]]
         moved_m[tracks[old]] += ((normals @ pose.rotation.T) @ field_m)[:, None] * normals
         points = simulated.points_m[tracks]
         seen, true = (camera.project(pose.transform(place)) for place in (points + moved_m[tracks], points))
-        yield walk[tracks] + seen - true
+        steps += drift_px - errors.contraction * (true - [camera.cx_px, camera.cy_px])
+        moved_px[tracks[old]] += steps[old]
+        yield moved_px[tracks] + seen - true
         previous = tracks
 
 

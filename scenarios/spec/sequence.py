@@ -187,6 +187,19 @@ class TrackErrorsSpec(SpecModel):
         description="Size of an error common to all landmarks: standard deviation of each axis of a vector in camera"
         " axes, drawn for a sequence; from frame to frame landmarks move along their normals by its component there",
     )
+    contraction: float = Field(
+        0.0,
+        gt=-0.1,
+        lt=0.1,
+        description="Share of its distance from the principal point by which each tracked point moves towards it from"
+        " frame to frame, the same in all sequences; negative: away from it",
+    )
+    drift_px: float = Field(
+        0.0,
+        ge=0,
+        description="Standard deviation of each coordinate of a step that all tracked points take from frame to frame,"
+        " drawn for a sequence",
+    )
     student_t: float | None = Field(
         None,
         gt=2,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from scipy import stats
@@ -107,6 +108,48 @@ def test_a_field_is_common_to_the_landmarks_of_a_sequence_and_another_in_the_nex
     assert len(set(np.round(slopes, 9))) == 6
 
 
+def test_a_contraction_is_a_share_of_the_way_to_the_principal_point_in_each_sequence():
+    """The places are those of OpenCV's projection; what has added up since a track began is summed here."""
+    camera = Camera(1024, 900, 1000.0, 1200.0, 500.0, 400.0)
+    matrix = np.array([[1000.0, 0.0, 500.0], [0.0, 1200.0, 400.0], [0.0, 0.0, 1.0]])
+    points = np.array([[40.0, 10.0, 0.0], [-60.0, -30.0, 20.0], [5.0, 70.0, -10.0]])
+    normals = np.tile([0.0, 0.0, -1.0], (3, 1))
+    tracks = SimulatedTracks(points, normals, np.arange(3), (np.array([0, 1]), np.arange(3), np.arange(3)))
+    turns = [np.array([0.02 * k, -0.01, 0.3 * k]) for k in range(3)]
+    poses = [Pose(cv2.Rodrigues(turn)[0], np.array([5.0 * k, 0.0, 800.0 - 50.0 * k])) for k, turn in enumerate(turns)]
+    places = [
+        cv2.projectPoints(points, turn, pose.translation_m, matrix, None)[0][:, 0] - [500.0, 400.0]
+        for turn, pose in zip(turns, poses, strict=True)
+    ]
+    for seed in (1, 2):
+        spec = TrackErrorsSpec(contraction=2e-3)
+        found = list(accumulated_errors_px(spec, tracks, poses, camera, np.random.default_rng(seed)))
+        assert not found[0].any()
+        np.testing.assert_allclose(found[1], -2e-3 * places[1] * [[1.0], [1.0], [0.0]], atol=1e-9)
+        np.testing.assert_allclose(found[2][:2], -2e-3 * (places[1] + places[2])[:2], atol=1e-9)
+        np.testing.assert_allclose(found[2][2], -2e-3 * places[2][2], atol=1e-9)
+
+
+def test_a_drift_is_one_step_for_all_tracks_of_a_sequence_and_normal_over_sequences():
+    walks = "walk_px: 0.3, student_t: 4"
+    drawn = []
+    for trial in range(30):
+        plain, moved = (errors_of(trial, track_errors=f"{{{walks}{more}}}") for more in ("", ", drift_px: 0.2"))
+        first: dict[int, int] = {}
+        steps = []
+        for index, (one, other) in enumerate(zip(plain[:8], moved[:8], strict=True)):
+            assert one.keys() == other.keys()
+            # The walk and the noise are the same draws with a drift and without.
+            ages = {track: index - first.setdefault(track, index) for track in one}
+            assert all(np.abs(other[track] - one[track]).max() < 1e-9 for track in one if not ages[track])
+            steps += [(other[track] - one[track]) / ages[track] for track in one if ages[track]]
+        np.testing.assert_allclose(steps, np.tile(steps[0], (len(steps), 1)), atol=1e-9)
+        drawn.append(steps[0])
+    low, high = stats.chi2.interval(0.999, 2 * len(drawn))
+    assert low < np.sum(np.square(drawn)) / 0.2**2 < high
+    assert np.abs(np.mean(drawn, axis=0)).max() < 3.5 * 0.2 / np.sqrt(len(drawn))
+
+
 def test_what_is_stated_of_them_reaches_the_frames_and_nothing_else():
     scene = "apophis-sphere-sequence"
     plain, told = (
@@ -127,7 +170,10 @@ def test_impossible_knowledge_of_them_is_refused(stated):
         load_scenario("apophis-sphere-sequence", (f"sequence.knowledge.{stated}",))
 
 
-@pytest.mark.parametrize("errors", ["{student_t: 2}", "{walk_px: -1}", "{field_m: .nan}", "{walk: 1}"])
+@pytest.mark.parametrize(
+    "errors",
+    ["{student_t: 2}", "{walk_px: -1}", "{field_m: .nan}", "{walk: 1}", "{contraction: 0.1}", "{drift_px: -1}"],
+)
 def test_impossible_errors_are_refused(errors):
     with pytest.raises(BoresightError, match=r"sequence\.vision\.track_errors"):
         load_scenario("apophis-sphere-sequence", (f"sequence.vision.track_errors={errors}",))
