@@ -69,6 +69,11 @@ def test_the_gauge_of_the_paper_serves_while_the_last_acquired_view_sees_its_lan
     assert gauged("last-two", {7: [2, 6], 8: [2, 4, 6]}) == DepthGauge(2, 7, 6.5, 0.1)
 
 
+@pytest.mark.parametrize("connected", WINDOWS)
+def test_a_landmark_of_one_accepted_pixel_does_not_keep_the_gauge(connected):
+    assert gauged(connected, {7: [6], 8: [2, 4, 6]}) == DepthGauge(2, 8, 8.0, 0.01)
+
+
 def test_a_distance_that_was_measured_takes_the_gauge_over_before_an_estimated_one():
     seen = {7: [2, 4], 8: [2, 4, 6], 9: [2, 6]}
     assert gauged("last-two", seen, [TrackRange(9, 9.3, 0.2)]) == DepthGauge(2, 9, 9.3, 0.2)

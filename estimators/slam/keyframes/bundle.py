@@ -66,7 +66,8 @@ def hand_over_gauge(
     """
     oldest, lead = views[0], views[-1]
     by = seen.get(gauge.track, ())
-    held = lead in by if options.connected == "last-two" else len(by) >= 2
+    # One bearing alone, as where its other pixels were refused, places no landmark that could keep the scale.
+    held = len(by) >= 2 and (lead in by or options.connected == "whole-window")
     if gauge.view == oldest and held:
         return gauge
     measured = {item.track: item for item in slam_map.frames[oldest].ranges}
@@ -184,7 +185,7 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     options_model = BundleOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
