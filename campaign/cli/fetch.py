@@ -43,11 +43,9 @@ def wanted(name: str) -> Wanted:
         return _sorted_out(known.values())
     if name in known:
         one = known[name]
-        if one.published is not None:
-            raise BoresightError(
-                f"{name}: cannot be fetched, because its checksum or its licence is not known: bring your own into"
-                f" {one.folder}; published at {one.published}"
-            )
+        if one.repository is None:
+            why = ", because its checksum or its licence is not known: bring your own" if one.published else ": it goes"
+            raise BoresightError(f"{name}: cannot be fetched{why} into {one.folder}; {one.source}")
         return Wanted((one,), ())
     if name in PAGES:
         # Imported here: a paper's figures take 2 s.
@@ -76,8 +74,8 @@ def wanted_by(campaigns: Iterable[str]) -> Wanted:
 def _sorted_out(found: Iterable[DataSet], unknown: Iterable[str] = ()) -> Wanted:
     sets = list({one.name: one for one in found}.values())
     return Wanted(
-        tuple(one for one in sets if one.published is None),
-        tuple(one for one in sets if one.published is not None),
+        tuple(one for one in sets if one.repository is not None),
+        tuple(one for one in sets if one.repository is None),
         tuple(dict.fromkeys(unknown)),
     )
 
@@ -130,7 +128,8 @@ def bring(sets: Wanted, source: str = "") -> None:
             out.print(f"{one.name}: {counts}; every checksum is right{note}", soft_wrap=True)
     for one in sets.own:
         out.print(
-            f"{one.name}: bring your own: {one.title}, into {one.folder}; published at {one.published}", soft_wrap=True
+            f"{one.name}: {'bring your own: ' if one.published else ''}{one.title}, into {one.folder}; {one.source}",
+            soft_wrap=True,
         )
     for name in sets.unknown:
         out.print(f"{name}: is in no data set: bring your own", soft_wrap=True)
@@ -150,4 +149,8 @@ def _list() -> int:
     for one in known:
         if one.published is not None:
             out.print(f"{one.name:<{widths[0]}}  {one.title}, into {one.folder}; {one.published}", soft_wrap=True)
+    out.print("made of others:")
+    for one in known:
+        if one.made_by is not None:
+            out.print(f"{one.name:<{widths[0]}}  {one.title}, into {one.folder}; {one.source}", soft_wrap=True)
     return 0

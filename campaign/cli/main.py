@@ -64,6 +64,7 @@ _POSITIVE = _number(int, lambda value: value >= 1, "is below 1")
 _NOT_NEGATIVE = _number(int, lambda value: value >= 0, "is below 0")
 _SHARE = _number(float, lambda value: 0.0 < value <= 1.0, "is not above 0 and 1 at most")
 _ANGLE_DEG = _number(float, lambda value: -360.0 <= value <= 360.0, "is not from -360 to 360")
+_ABOVE_0 = _number(float, lambda value: 0.0 < value <= 1e6, "is not above 0 and 1e6 at most")
 
 _EPOCH_S = _number(float, lambda value: abs(value) <= 1e11, "is not from -1e11 to 1e11")
 _NAIF_ID = _number(int, lambda value: 0 < abs(value) < 2**31, "is no number of NAIF")
@@ -241,6 +242,21 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--set", "images of the Moon: those of the report (default), or those for choices of methods",
            choices=("report", "choices"), default="report"),
         _a("--out", "folder of the table", _FILE, default=Path("figures/craters-real")),
+    ),
+    "tracks": ("tracks:tracks_command", "track features through the images of a scenario, for sequences",
+        _a("name", "a scenario with images, or a YAML file"),
+        _a("--attitudes", "poses whose attitudes the matching is told, as label (default: images.truth)",
+           metavar="NAME"),
+        _a("--detector", "what finds the features (default: sift)", choices=("sift", "surf", "orb"), default="sift"),
+        _a("--features", "features of an image at most, the strongest (default: 3000)", _POSITIVE, default=3000),
+        _a("--angle", "match images whose boresights differ by at most DEG in body axes (default: 40)", _ANGLE_DEG,
+           metavar="DEG", default=40.0),
+        _a("--following", "match an image with the N after it alone (default: all within the angle)", _POSITIVE,
+           metavar="N"),
+        _a("--epipolar", "largest distance of a match from its epipolar line, px (default: 2)", _ABOVE_0,
+           metavar="PX", default=2.0),
+        _a("--out", "folder of the tables (default: sequences/SCENARIO in the data folder)", _FILE),
+        _OVERRIDES,
     ),
     "bench": ("bench:bench_command", "set our speed beside that of others, or time a campaign's stages",
         _a("name", f"{', '.join(PEERS)}: ratios to peers, in one run (default: all); or a campaign from the list, or a"

@@ -116,7 +116,11 @@ def check_data(campaign: ResolvedCampaign) -> None:
     name, (they, them) = campaign.spec.name, ("is", "it") if len(absent) == 1 else ("are", "them")
     own = name if campaign.root is None or name in campaign_names() else campaign.root.place
     fetched = next((paper for paper in PAPERS if name.startswith(f"{paper}-")), own)
-    ways = f"boresight fetch {fetched} brings {them}"
+    made = dict.fromkeys(filter(None, (datasets()[one].made_by for one in absent.values())))
+    fetch = any(datasets()[one].made_by is None for one in absent.values())
+    ways = "; ".join(
+        [*([f"boresight fetch {fetched} brings {them}"] if fetch else []), *(f"to make {them}: {one}" for one in made)]
+    )
     if any(datasets()[one].published for one in absent.values()):
         ways += ", or says where to get what cannot be passed on"
     bodies = [STAND_INS[one] for one in absent if one in STAND_INS]

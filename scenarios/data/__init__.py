@@ -58,6 +58,8 @@ def _advice(given: Path, folder: str) -> str:
 
     paths = [f"{folder}/{given.as_posix()}", given.as_posix()]
     for known in [] if given.is_absolute() else datasets_providing(paths):
+        if known.made_by is not None:
+            return f"to make it: {known.made_by}"
         if known.published is not None:
             return f"bring your own: {known.title}, published at {known.published}; folder {known.folder}"
         return f"to fetch it: boresight fetch {known.name}"

@@ -46,9 +46,9 @@ class FileSpec(RawFile):
 
 
 class DataSet(SpecModel):
-    """A data set in a public repository, or one that a user must bring."""
+    """A data set in a public repository, one that a user must bring, or one that a command makes of another."""
 
-    alternatives: ClassVar = (("repository", "published"),)
+    alternatives: ClassVar = (("repository", "published", "made_by"),)
 
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]*$")
     title: str = Field(min_length=1, description="What it is")
@@ -61,6 +61,7 @@ class DataSet(SpecModel):
     path: str = Field("", description="Folder in the repository")
     files: tuple[FileSpec, ...] = Field((), description="Files that are fetched")
     published: str | None = Field(None, description="Where it is published, if it cannot be fetched")
+    made_by: str | None = Field(None, description="Command that makes it of another data set")
     needed: tuple[_Path, ...] = Field((), description="Files that a user must bring; none: those of the whole folder")
 
     @model_validator(mode="after")
@@ -72,6 +73,11 @@ class DataSet(SpecModel):
         if twice:
             raise ValueError(f"files: two of them are called {', '.join(twice)}")
         return self
+
+    @property
+    def source(self) -> str:
+        """Where one that cannot be fetched comes from."""
+        return f"published at {self.published}" if self.made_by is None else f"made by {self.made_by}"
 
     @property
     def file_names(self) -> list[str]:

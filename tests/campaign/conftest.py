@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from posed_spheres import write_posed
 from tiny_campaign import CAMPAIGN, TRIALS, compute, write_campaign
 from undrawn import undrawn
 
@@ -78,6 +79,7 @@ def examples(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_campaign(folder, one).rename(folder / "my_campaign.yaml")
     write_campaign(folder / "small").rename(folder / "small" / "quickstart.yaml")
     (folder / "before.json").write_text('{"stages": []}')
+    write_posed(folder, (0.0, 6.0, 12.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for words in (
