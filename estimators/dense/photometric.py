@@ -62,9 +62,9 @@ class PhotometricEstimator:
     -------------
     The rendering goes out of view or into the dark, or correlates with the image by less than ``correlation_min``; or
     the frame cuts the body, and shifted images correlate nearly as well (``sharpness_min``, ``correlation_sure``). Of
-    500 images of ``compare-mismatched`` version 3 failed, or was worse than the prior, in none with exact knowledge and
-    in 4.20 % with that of a mission. The covariance is too small: its mean NEES was 42.0 and 40.6, 6 expected. See
-    ``tuned``.
+    500 images of ``compare-mismatched`` it failed, or was worse than the prior, in none with exact knowledge and in
+    3.80 % with that of a mission. The covariance is too large with exact knowledge, and too small with that of a
+    mission: mean NEES 1.2 and 9.3, 6 expected. See ``tuned``.
 
     Cost
     ----
@@ -173,8 +173,8 @@ class WholeImageRecognizer(LandmarkRecognizer):
     It fails when
     -------------
     As ``landmark-harris``; and the mesh goes out of view or into the dark during the registration. Of 500 images of
-    ``compare-mismatched`` version 3 failed, or was worse than the prior, in 14.0 % with exact knowledge and in 54.8 %
-    with that of a mission.
+    ``compare-mismatched`` it failed, or was worse than the prior, in 10.6 % with exact knowledge and in 54.8 % with
+    that of a mission.
 
     Cost
     ----

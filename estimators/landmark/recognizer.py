@@ -271,8 +271,8 @@ class LandmarkRecognizer:
     -------------
     Fewer than four landmarks are matched, or the pose is fitted to wrong matches: the fit then looks good and is not.
     It needs an onboard model close to the truth. Of 500 images of ``compare-mismatched`` it gave no estimate, or one
-    worse than the prior, in 21.2 % with exact knowledge and in 70.6 % with that of a mission. The covariance is far too
-    small: mean NEES 387 with exact knowledge, 6 expected.
+    worse than the prior, in 18.6 % with exact knowledge and in 68.2 % with that of a mission. The covariance is far too
+    small: mean NEES 398 with exact knowledge, 6 expected.
 
     Far from the body a good prior is better. Corners are off by a pixel, so that they alone fix the attitude relative
     to the body to 0.02 to 0.1 deg at best, and the position to the range times that. In 50 images of

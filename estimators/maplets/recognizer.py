@@ -221,7 +221,8 @@ class MapletNavigator:
     -------------
     Fewer than four maplets correlate by ``correlation_min``, or the rendered maplets are out of view or in the dark. Of
     500 images of ``compare-mismatched`` it failed, or was worse than the prior, in none with exact knowledge and in
-    2.20 % with that of a mission. The covariance is too small: mean NEES 12.8 and 52.6, 6 expected.
+    2.20 % with that of a mission. The covariance is too small: mean NEES 13.2 and 13.1, 6 expected. See
+    ``tuned``.
 
     Cost
     ----

@@ -116,7 +116,8 @@ class ConsensusRecognizer:
     such a pose would be chance, and its covariance wrong. So it needs an onboard model close to the truth: of 360
     images of three built-in bodies at 2 km it answers in 7 with that of a mission, and in 357 with an exact one. The
     mean NEES of these is 6.2, 7.5 and 15 (6 expected): ranges are too long by 0.1 to 0.2 %, alike in all images of a
-    body, which the covariance does not hold.
+    body, which the covariance does not hold. Of 500 images of ``compare-mismatched`` it answers in 488 with exact
+    knowledge (mean NEES 7.9), and in 2 with that of a mission.
 
     Cost
     ----
