@@ -172,8 +172,9 @@ def load_scenario(
     It is a name of the catalogue or the path of a YAML file, relative to ``near``. ``base`` are overrides by a
     campaign, ``levels`` those of its grid; their keys may be dotted. ``overrides`` are texts ``key.key=value``, as on
     the command line, or parsed entries. With ``embedded`` built-in bodies, in truth and on board, take the place of the
-    shape files that they stand for, but for real images. Lengths that are left out and follow from the camera or the
-    body are filled in. Raise BoresightError with one line for each fault: file, line, key, value and what is allowed.
+    shape files that they stand for, but for real images and tracks. Lengths that are left out and follow from the
+    camera or the body are filled in. Raise BoresightError with one line for each fault: file, line, key, value and what
+    is allowed.
     """
     path = find(name_or_path, CATALOG, near)
     file, folders = _read_chain(path, CATALOG, ScenarioSpec)
@@ -185,8 +186,10 @@ def load_scenario(
     section = apply(file, layers, (ScenarioSpec,)).section or {}
     # ``section: null`` restores the default of an inherited section.
     root = ConfigEntry({key: entry for key, entry in section.items() if entry.value is not None}, file.place)
-    embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
+    sequence = plain.get("sequence")
+    followed = isinstance(sequence, dict) and sequence.get("tracks") is not None
+    embedded = embedded and "images" not in plain and not followed
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, folders, embedded))
     if isinstance(second := plain.get("second_body"), dict):  # measured by its own body
         lengths["second_body"] = lengths_left_out(

@@ -69,9 +69,13 @@ def test_the_body_on_board_is_replaced_too():
     )  # fmt: skip
 
 
-def test_real_images_keep_their_shape():
-    campaign = resolve("rowell2015-real", embedded=True)
-    assert campaign.scenarios[0].spec.body.shape == "itokawa_gaskell_q64.ply"
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [("rowell2015-real", "itokawa_gaskell_q64.ply"), ("vesta-real-slam", "images/dawn_fc_vesta/vesta_5002.ply")],
+)
+def test_real_images_and_tracks_keep_their_shape(name, shape):
+    campaign = resolve(name, embedded=True)
+    assert campaign.scenarios[0].spec.body.shape == shape
     assert campaign.embedded == ()
 
 
