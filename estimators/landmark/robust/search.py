@@ -56,26 +56,36 @@ class MixtureEvaluation:
     ``log_posterior`` (H,) is log likelihood and log prior, over those of the prior's mean with no landmark detected,
     and ``gradient`` (H, 6) its derivative by [rotation_rad, translation_m]. ``hessian`` (H, 6, 6) is the information of
     the complete data: Gauss-Newton's, weighted by the probabilities that a candidate is the landmark's corner, with
-    that of the prior. ``missing`` (H, 6, 6) is lost as it is not known which candidate is the corner, if any is.
-    ``candidates`` (H, N, K) are rows of the corners, the nearest first; the number of corners stands for no candidate.
-    ``squares`` (H, N, K) are their weighted squared distances; infinite for no candidate.
+    that of the prior. ``candidates`` (H, N, K) are rows of the corners, the nearest first; the number of corners stands
+    for no candidate. ``squares`` (H, N, K) are their weighted squared distances, infinite for no candidate, ``offsets``
+    (H, N, K, 2) from the landmarks, px, and ``responsibilities`` (H, N, K) the probabilities that they are theirs.
+    ``weighted`` (H, N, 2, 6) is information times derivative of a landmark's place.
     """
 
     log_posterior: FloatArray
     hessian: FloatArray
-    missing: FloatArray
     gradient: FloatArray
     candidates: IndexArray
     squares: FloatArray
+    offsets: FloatArray
+    responsibilities: FloatArray
+    weighted: FloatArray
 
     @property
     def observed_information(self) -> FloatArray:
         """Negative second derivative (H, 6, 6) of the log posterior: information of the complete data less the missing.
 
-        T. Louis (Journal of the Royal Statistical Society B 44, 1982). Covariances and derivatives of the projection
-        are taken as constant. At a pose that is no maximum it may be indefinite.
+        What is missing is which candidate is the corner, if any is: T. Louis (Journal of the Royal Statistical Society
+        B 44, 1982). Covariances and derivatives of the projection are taken as constant. At a pose that is no maximum
+        it may be indefinite.
         """
-        observed: FloatArray = self.hessian - self.missing
+        offsets, share, weighted = self.offsets, self.responsibilities, self.weighted
+        # Covariance of the offset, given the corners, between its candidates and the 0 of a landmark not detected.
+        spread = np.einsum("hnk,hnki,hnkj->hnij", share, offsets, offsets, optimize=True)
+        pull = np.einsum("hnk,hnki->hni", share, offsets)
+        spread -= pull[..., :, None] * pull[..., None, :]
+        missing = np.einsum("hnip,hnij,hnjq->hpq", weighted, spread, weighted, optimize=True)
+        observed: FloatArray = self.hessian - missing
         return observed
 
 
@@ -148,19 +158,18 @@ class Mixture:
         jacobian = np.concatenate([by_rotation, by_point], axis=-1)
         # A landmark without a likely corner has the weight 0 and drops out of the normal equations.
         weighted = information @ jacobian
-        # Covariance of the offset, given the corners, between its candidates and the 0 of a landmark not detected.
-        spread = np.einsum("hnk,hnki,hnkj->hnij", responsibilities, offsets, offsets, optimize=True)
-        spread -= pull[..., :, None] * pull[..., None, :]
         # Maximum a posteriori: the prior adds its information, and a pull back to its mean.
         errors = self._prior.errors(poses)
         prior_pull = errors @ self._prior.information
         return MixtureEvaluation(
             np.log(total).sum(axis=1) - 0.5 * np.einsum("hp,hp->h", errors, prior_pull),
             np.einsum("hn,hnip,hniq->hpq", weight, jacobian, weighted, optimize=True) + self._prior.information,
-            np.einsum("hnip,hnij,hnjq->hpq", weighted, spread, weighted, optimize=True),
             np.einsum("hnip,hni->hp", weighted, pull, optimize=True) - prior_pull,
             near,
             square,
+            offsets,
+            responsibilities,
+            weighted,
         )
 
     def log_evidence(self, evaluation: MixtureEvaluation) -> FloatArray:
