@@ -145,12 +145,10 @@ def _list() -> int:
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for name, there, size, title in rows:
         out.print(f"{name:<{widths[0]}}  {there:<{widths[1]}}  {size:>{widths[2]}}  {title}", soft_wrap=True)
-    out.print("bring your own (no checksum or no licence is known):")
-    for one in known:
-        if one.published is not None:
-            out.print(f"{one.name:<{widths[0]}}  {one.title}, into {one.folder}; {one.published}", soft_wrap=True)
-    out.print("made of others:")
-    for one in known:
-        if one.made_by is not None:
-            out.print(f"{one.name:<{widths[0]}}  {one.title}, into {one.folder}; {one.source}", soft_wrap=True)
+    own = [(one, one.published) for one in known if one.published is not None]
+    made = [(one, one.source) for one in known if one.made_by is not None]
+    for head, sets in (("bring your own (no checksum or no licence is known):", own), ("made of others:", made)):
+        out.print(head)
+        for one, source in sets:
+            out.print(f"{one.name:<{widths[0]}}  {one.title}, into {one.folder}; {source}", soft_wrap=True)
     return 0

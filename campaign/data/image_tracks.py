@@ -11,6 +11,7 @@ import numpy as np
 
 from boresight.campaign.imaging.real_images import open_images
 from boresight.campaign.imaging.world import TrialImage, open_world
+from boresight.estimators.landmark.signal import MAD_TO_SIGMA
 from boresight.estimators.slam.vision.image_tracks import ImageTracks, TrackingOptions, track_features
 from boresight.estimators.slam.vision.matching import find_features
 from boresight.renderers.mitsuba3 import choose_variant
@@ -22,7 +23,6 @@ from boresight.scenarios.geometry import Pose
 from boresight.scenarios.load import LoadedScenario
 
 _HEADER = "time_s,x_m,y_m,z_m,qw,qx,qy,qz"
-_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class TrackedImages:
         for k in np.flatnonzero(steps == 0).tolist():
             hours = (self.times_s[k + 1] - self.times_s[k]) / 3600.0
             yield f"none goes on from {self.names[k]} to {self.names[k + 1]}, {hours:.3g} h later"
-        sigma_px = _MAD * float(np.median(np.abs(found.off_line_px))) / np.sqrt(2.0)
+        sigma_px = MAD_TO_SIGMA * float(np.median(np.abs(found.off_line_px))) / np.sqrt(2.0)
         yield (
             f"noise of a coordinate across the epipolar lines: {sigma_px:.2f} px; sigma_px should be larger by what"
             " features move with the light"

@@ -133,7 +133,6 @@ def reality_rows(
             ratio = float(np.divide(ours.median_m, theirs.median_m))
         low, high = np.quantile(theirs.found, _CENTRAL) if len(theirs.found) else (np.nan, np.nan)
         central = "yes" if low <= ours.median_m <= high else "no"
-        of_ratio = f" [{number(interval[0])}, {number(interval[1])}]" if interval else ""
         yield {
             "seen": seen,
             "method": label,
@@ -142,7 +141,7 @@ def reality_rows(
             "simulated, m": _printed(theirs.median_m),
             "ok, simulated": counts[1],
             "in the central 90 %": central if np.isfinite(ratio) else NO_VALUE,
-            "ratio [95 %]": _printed(ratio) + of_ratio,
+            "ratio [95 %]": _printed(ratio) + _interval(*interval or (None, None)),
             "verdict": verdict(interval) if np.isfinite(ratio) else NO_VALUE,
             "NEES/n, real": _consistency(*real, label),
             "NEES/n, simulated": _consistency(*simulated, label),
@@ -156,7 +155,11 @@ def _consistency(run: RunData, scenario: str, estimator: str) -> str:
     known = rows[rows[column].notna()]
     values = known[column].to_numpy(dtype=np.float64) / _NEES[column]
     (mean,) = measure(values, clusters_of(run, known), (MEAN,))
-    return number(mean.value) + (f" [{number(mean.low)}, {number(mean.high)}]" if mean.low is not None else "")
+    return number(mean.value) + _interval(mean.low, mean.high)
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    return "" if low is None else f" [{number(low)}, {number(high)}]"
 
 
 def reality_grid(rows: list[dict[str, str]]) -> Grid:

@@ -76,7 +76,7 @@ class DataSet(SpecModel):
 
     @property
     def source(self) -> str:
-        """Where one that cannot be fetched comes from."""
+        """Who publishes a data set that cannot be fetched, or the command that makes it, in words."""
         return f"published at {self.published}" if self.made_by is None else f"made by {self.made_by}"
 
     @property

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import optimize, stats
 from scipy.spatial.transform import Rotation
 
+from boresight.estimators.landmark.signal import MAD_TO_SIGMA
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, angle_between
 from boresight.scenarios.load import load_scenario
@@ -26,7 +27,6 @@ QUANTILES = np.array([0.25, 0.5, 0.75, 0.9, 0.97])
 BLOCKS = 8
 WRONG_PX = 3.0  # differences beyond it are left out of means
 CENTRE = 0.4  # of half the image's width
-MAD = 1.4826  # standard deviation of a normal law over its median absolute deviation
 WEIGHTS_T = 3.0  # degrees of freedom
 
 
@@ -125,7 +125,7 @@ def fit_common(runs: Runs) -> FloatArray:
         weighted = design * weights[:, None, None]
         found = np.linalg.solve(np.einsum("sap,saq->pq", weighted, design), np.einsum("sap,sa->p", weighted, wanted))
         residual = wanted - design @ found
-        square = (residual**2).sum(axis=1) / (MAD * np.median(np.abs(residual))) ** 2
+        square = (residual**2).sum(axis=1) / (MAD_TO_SIGMA * np.median(np.abs(residual))) ** 2
         weights = (WEIGHTS_T + 2.0) / (WEIGHTS_T + square)
     return found
 

@@ -112,7 +112,7 @@ def run_line(
 
 
 def lacks_something(capsys: pytest.CaptureFixture[str]) -> bool:
-    """Whether a command ended because data, tables made of them or a package are not here: its words were right."""
+    """Whether a command ended because data or a package are missing here; its words were right."""
     told = capsys.readouterr().err
     return bool(re.search(r"was not found; looked for|BORESIGHT_DATA|pip install|(is|are) missing[,:] ", told))
 
