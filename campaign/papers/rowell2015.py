@@ -251,7 +251,8 @@ def _grids(run: FinishedRun) -> list[Grid]:
 
 def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> LandmarkDatabaseBuild:
     """Rebuild a data base with its intermediate results; its candidates come from the cache if they are there."""
-    return build_database(landmark_candidates(world.scenario, options, jobs, variant).by_image, options)
+    candidates = landmark_candidates(world.scenario, options, jobs, variant)
+    return build_database(candidates.by_image, candidates.cameras_m, options)
 
 
 def broadside_view(world: World, range_m: float) -> View:

@@ -44,17 +44,18 @@ KIND = "landmark-database"
 VERSION = 1
 
 CANDIDATES_KIND = "landmark-candidates"
-CANDIDATES_VERSION = 1
+CANDIDATES_VERSION = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkCandidates:
     """Candidate landmarks: de-projected corners of rendered images, (C, 3) for each image, body frame, m.
 
-    ``images_from_store`` is the number of images from the store; None if the candidates came from the cache.
+    ``cameras_m`` (I, 3) are the places of the camera, body frame. ``images_from_store`` is the number of images from the store; None if the candidates came from the cache.
     """
 
     by_image: tuple[FloatArray, ...]
+    cameras_m: FloatArray
     images_from_store: int | None
 
 
@@ -71,24 +72,35 @@ def landmark_candidates(
 
     def build(folder: Path) -> None:
         found = map_images(jobs, options.images, _candidates_of_images, scenario, options, variant)
-        stored.append(sum(from_store for _, from_store in found))
-        np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, _ in found)]))
-        np.save(folder / "counts.npy", np.array([len(points) for points, _ in found], dtype=np.int64))
+        stored.append(sum(from_store for *_, from_store in found))
+        np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, *_ in found)]))
+        np.save(folder / "counts.npy", np.array([len(points) for points, *_ in found], dtype=np.int64))
+        np.save(folder / "cameras_m.npy", np.array([camera_m for _, camera_m, _ in found]).reshape(-1, 3))
 
     key = content_key(scenario, CANDIDATES_KIND, options, [CANDIDATES_VERSION, METHOD_VERSION], variant)
     folder = default_cache().folder(CANDIDATES_KIND, key, build)
-    points_m, counts = (np.load(folder / name, allow_pickle=False) for name in ("points_m.npy", "counts.npy"))
-    return LandmarkCandidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
+    points_m, counts, cameras_m = (
+        np.load(folder / f"{name}.npy", allow_pickle=False) for name in ("points_m", "counts", "cameras_m")
+    )
+    by_image = tuple(np.split(points_m, np.cumsum(counts)[:-1]))
+    return LandmarkCandidates(by_image, cameras_m, stored[0] if stored else None)
 
 
 def _candidates_of_images(
     scenario: LoadedScenario, options: CandidateOptions, variant: str, images: Sequence[int]
-) -> list[tuple[FloatArray, bool]]:
-    """Find the candidates of some images, and whether each image came from the store."""
+) -> list[tuple[FloatArray, FloatArray, bool]]:
+    """Find the candidates of some images, the place of the camera, and whether each image came from the store."""
     pictured = database_images(
         scenario, images, (0.0, options.phase_deg_max), options.seed, variant, options.range_m, options.camera
     )
-    return [(extract_candidates(image.pixels, image.deproject, options), image.from_store) for image in pictured]
+    return [
+        (
+            extract_candidates(image.pixels, image.deproject, options),
+            image.view.T_cam_body.camera_position_m,
+            image.from_store,
+        )
+        for image in pictured
+    ]
 
 
 def build(
@@ -96,7 +108,7 @@ def build(
 ) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
     candidates = landmark_candidates(scenario, options, jobs, variant)
-    database = database_from_candidates(candidates.by_image, options)
+    database = database_from_candidates(candidates.by_image, candidates.cameras_m, options)
     database.save(folder)
     if candidates.images_from_store is None:
         source = {"candidates_from_cache": sum(map(len, candidates.by_image))}

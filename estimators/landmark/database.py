@@ -22,6 +22,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,7 @@ from boresight.estimators.landmark.hull import concave_hull
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 from boresight.scenarios.reading import LARGEST_NUMBER, number_in, read_json
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import CameraSpec
@@ -49,6 +51,8 @@ _FACET = ["i", "j", "k"]
 
 METHOD = "rowell2015-{detector}"
 METHOD_VERSION = 1
+
+_HELD = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +199,11 @@ class DatabaseOptions(CandidateOptions):
 
     clusters: ClusterOptions = ClusterOptions()
     min_observations: int = Field(24, ge=2, description="A landmark must be seen in at least this many images")
+    position: Literal["mean", "rays"] = Field(
+        "mean",
+        description="A landmark lies at the mean of its corners on the surface, as in the paper, or where the rays to"
+        " them meet best",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,20 +230,24 @@ def extract_candidates(
     return points_m[np.isfinite(points_m).all(axis=1)]
 
 
-def database_from_candidates(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabase:
+def database_from_candidates(
+    candidates: Sequence[FloatArray], cameras_m: FloatArray, options: DatabaseOptions
+) -> LandmarkDatabase:
     """Return the data base of `build_database` without the intermediate results."""
-    return build_database(candidates, options).database
+    return build_database(candidates, cameras_m, options).database
 
 
-def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabaseBuild:
+def build_database(
+    candidates: Sequence[FloatArray], cameras_m: FloatArray, options: DatabaseOptions
+) -> LandmarkDatabaseBuild:
     """Cluster the candidates of all images and construct the mesh (sections 2.3 and 2.4).
 
     An image counts once for a landmark, however many of its corners are in the cluster. Clusters seen in fewer than
     ``min_observations`` images are removed before merging: by the trace criterion a large cluster absorbs any small one
     within reach, so that stray points would inflate the dispersion of good landmarks.
 
-    ``candidates`` are the points (C, 3) of each image, body frame, m. Raise NoProductError if there are fewer than four
-    landmarks, or they lie in one plane.
+    ``candidates`` are the points (C, 3) of each image and ``cameras_m`` (I, 3) where the images were taken from, body
+    frame, m. Raise NoProductError if there are fewer than four landmarks, or they lie in one plane.
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
     image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])
@@ -251,14 +264,17 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
             f" ({options.clusters.seed_radius_m:g}) of the data base, or lower min_observations"
             f" ({options.min_observations})"
         )
+    means_m = np.stack([cluster.mean_m for cluster in clusters])
+    if options.position == "rays":
+        means_m = _where_rays_meet(clusters, points_m, cameras_m[image_of], means_m)
     try:
-        hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
+        hull = concave_hull(means_m)
     except BoresightError as error:
         raise NoProductError(str(error)) from error
     # A landmark that is not on the mesh could not be tested for visibility: it is dropped.
     kept = [clusters[index] for index in hull.kept]
     database = LandmarkDatabase(
-        np.stack([cluster.mean_m for cluster in kept]),
+        means_m[hull.kept],
         np.stack([cluster.covariance_m2 for cluster in kept]),
         np.array([len(np.unique(image_of[cluster.members])) for cluster in kept]),
         hull.facets.astype(np.int32),
@@ -272,3 +288,22 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
         },
     )
     return LandmarkDatabaseBuild(points_m, stages, database)
+
+
+def _where_rays_meet(
+    clusters: Sequence[PointCluster], points_m: FloatArray, cameras_m: FloatArray, means_m: FloatArray
+) -> FloatArray:
+    """Return the points (L, 3) nearest to the rays of each cluster, see `triangulation_equations`.
+
+    A ray ends at the first surface that it meets, before the ground behind a boulder or a rim. So the points of a
+    cluster, and their mean, lie above the place that the corners have in common: in an oblique view the mean is further
+    out than the corner. The place where rays meet does not depend on where they end.
+    """
+    row = np.repeat(np.arange(len(clusters)), [len(cluster.members) for cluster in clusters])
+    members = np.concatenate([cluster.members for cluster in clusters])
+    rays = points_m[members] - cameras_m[members]
+    lines = LinesOfSight(cameras_m[members], rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    # The mean holds the point where all rays are parallel, and has no weight elsewhere.
+    held = np.repeat(_HELD * np.eye(3)[None], len(clusters), axis=0)
+    matrix, right = triangulation_equations(lines, row, (held, _HELD * means_m))
+    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0])

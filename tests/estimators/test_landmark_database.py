@@ -17,6 +17,7 @@ from boresight.estimators.landmark.database import (
 from boresight.scenarios.errors import BoresightError
 
 OCTAHEDRON = 100.0 * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
+ABOVE_M = np.tile([0.0, 0.0, 1000.0], (40, 1))
 FACETS = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
 
 
@@ -134,7 +135,7 @@ def candidates(images=40, seed=3, members=1):
 
 
 def test_candidates_become_landmarks_and_a_mesh():
-    database = database_from_candidates(candidates(), DatabaseOptions())
+    database = database_from_candidates(candidates(), ABOVE_M[:40], DatabaseOptions())
     order = np.linalg.norm(database.means_m[:, None] - OCTAHEDRON[None], axis=2).argmin(axis=0)
     assert sorted(order) == list(range(6))
     assert np.abs(database.means_m[order] - OCTAHEDRON).max() < 0.3
@@ -145,17 +146,39 @@ def test_candidates_become_landmarks_and_a_mesh():
     assert json.loads(json.dumps(database.provenance))["candidates"] == 40 * 11
 
 
+def test_rays_meet_at_the_corner_where_they_end_before_it():
+    """Of corners hidden by what stands before them the means lie towards the cameras, and the rays still meet there."""
+    rng = np.random.default_rng(5)
+    # Cameras of the octahedron's upper half, as its corners there are seen from outside alone.
+    cameras = 1000.0 * normalised(rng.normal(size=(60, 3)) + np.array([0.0, 0.0, 1.5]))
+    top = OCTAHEDRON[OCTAHEDRON[:, 2] >= 0.0]
+    to_camera = normalised(cameras[:, None] - top)
+    ends = top + rng.exponential(1.0, (60, len(top), 1)) * to_camera + rng.normal(0.0, 0.05, to_camera.shape)
+    clouds = [np.concatenate([seen, OCTAHEDRON[OCTAHEDRON[:, 2] < 0.0]]) for seen in ends]
+    off_m = {}
+    for position in ("mean", "rays"):
+        options = DatabaseOptions(position=position, clusters={"seed_radius_m": 4.0})
+        means = database_from_candidates(clouds, cameras, options).means_m
+        off_m[position] = [np.linalg.norm(means - corner, axis=1).min() for corner in top]
+    assert min(off_m["mean"]) > 0.4
+    assert max(off_m["rays"]) < 0.1
+
+
+def normalised(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
 def test_an_image_counts_once_for_a_landmark():
     # Three corners in each of ten images are thirty corners, but only ten observations.
     with pytest.raises(BoresightError, match="0 landmarks came out"):
-        database_from_candidates(candidates(10, members=3), DatabaseOptions(min_observations=11))
-    database = database_from_candidates(candidates(10, members=3), DatabaseOptions(min_observations=10))
+        database_from_candidates(candidates(10, members=3), ABOVE_M[:10], DatabaseOptions(min_observations=11))
+    database = database_from_candidates(candidates(10, members=3), ABOVE_M[:10], DatabaseOptions(min_observations=10))
     assert (database.n_observations == 10).all()
 
 
 def test_no_candidates_are_refused_in_one_line():
     with pytest.raises(BoresightError, match="0 landmarks came out of 0 corners in 2 images") as caught:
-        database_from_candidates([np.empty((0, 3))] * 2, DatabaseOptions())
+        database_from_candidates([np.empty((0, 3))] * 2, ABOVE_M[:2], DatabaseOptions())
     assert "\n" not in str(caught.value)
 
 

@@ -39,11 +39,13 @@ class World(BoulderWorld):
         super().__init__(CAMERA, boulder_mesh(90_000), [0.02] * 3 + [29.0] * 3)
         self._recognised, self._recognizer = {}, None
         options = LandmarkOptions(database=DATABASE).database
+        images = list(self.images(options.images))
         candidates = [
             extract_candidates(image, lambda uv, view=view: self.renderer.surface(view, uv).points_body_m, options)
-            for view, image in self.images(options.images)
+            for view, image in images
         ]
-        self.database = database_from_candidates(candidates, options)
+        cameras_m = np.array([view.T_cam_body.camera_position_m for view, _ in images])
+        self.database = database_from_candidates(candidates, cameras_m, options)
 
     def recognised(self, trial, noise_dn=0.0):
         """Return a view, its frame and the estimate of the recogniser with its default options, made once."""

@@ -117,7 +117,8 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
         with store_switched(False):
             candidates = landmark_candidates(self.believed, options, None, self.variant)
         try:
-            return replace(drawn, images=options.images, built=build_database(candidates.by_image, options))
+            built = build_database(candidates.by_image, candidates.cameras_m, options)
+            return replace(drawn, images=options.images, built=built)
         except NoProductError as error:
             return replace(drawn, built=error)
 

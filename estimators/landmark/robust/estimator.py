@@ -52,10 +52,16 @@ _MATCHED_D2 = 11.83  # 3-sigma quantile (99.73 %) of chi-square with two degrees
 _FEWEST = 4
 
 
+class RayDatabaseOptions(DatabaseOptions):
+    """Options of a landmark data base, with landmarks where their rays meet."""
+
+    position: Literal["mean", "rays"] = Field("rays", description=DatabaseOptions.model_fields["position"].description)
+
+
 class ConsensusOptions(SpecModel):
     """Options of ``landmark-ransac``."""
 
-    database: DatabaseOptions = DatabaseOptions()
+    database: RayDatabaseOptions = RayDatabaseOptions()
     corners: CornerOptions = Field(
         CornerOptions(count=250, min_relative_strength=1e-5), description="Corners of the observed image"
     )
@@ -131,7 +137,7 @@ class ConsensusRecognizer:
     """
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
