@@ -44,8 +44,8 @@ _SEED = 0x7265_6865
 
 def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
-    if scenario.spec.viewpoint is None:
-        raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
+    if scenario.spec.viewpoint is None and scenario.spec.images is None:
+        raise NoProductError("its rehearsals need views: give the scenario a viewpoint or images")
     _check_declared(scenario.spec, options.bodies)
     with tempfile.TemporaryDirectory() as place:
         # The data bases of the base are made before workers ask for them.
@@ -92,6 +92,8 @@ def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
             f"onboard.declared.brdf: {len(_laws(spec))} reflectances, and each rehearsed body has one: give the"
             f" estimator at least as many tuning.bodies, not {bodies}"
         )
+    if detail is not None and errors.detail is not None:
+        raise NoProductError("onboard.declared.detail: the shape on board has detail: declare facets and relief_below_m")
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
         raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
 
@@ -145,7 +147,8 @@ def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: in
 
     As in flight, the method has the errors and the images have not. Relief is drawn anew with the statistics of that on
     board, which has false relief of its own: images of it would tell the method more than images of the true body do.
-    A shape without ``detail`` is taken as it is. Bodies have the declared reflectances in turn. The camera has
+    A shape without ``detail`` is taken as it is, with the relief that is declared to lack. Views of real images are
+    rendered. Bodies have the declared reflectances in turn. The camera has
     artefacts of the kind and size of the flight camera's, and another pattern of pixels.
     """
     errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
@@ -167,8 +170,12 @@ def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: in
     if heights is not None:
         known["height_error"] = heights
     onboard = OnboardSpec(body=body.model_copy(update=known), brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
+    if errors.detail is not None:
+        body = body.model_copy(update={"detail": errors.detail.model_copy(update={"seed": seed})})
     law = _laws(spec)[number % len(_laws(spec))]
     changes: dict[str, object] = {"body": body, "brdf": law, "onboard": onboard}
+    if spec.images is not None:
+        changes["images"] = spec.images.as_rendered()
     if spec.detector is not None and spec.detector.pixels is not None:
         pixels = spec.detector.pixels.model_copy(update={"seed": (spec.detector.pixels.seed + seed) % 2**32})
         changes["detector"] = spec.detector.model_copy(update={"pixels": pixels})

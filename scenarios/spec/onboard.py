@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from boresight.scenarios.spec.base import SpecModel, deviation, optional
-from boresight.scenarios.spec.body import MOST_FACETS, BodySpec, HeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.body import MOST_FACETS, BodySpec, DetailSpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec
 from boresight.scenarios.spec.distribution import Scalar
 from boresight.scenarios.spec.world import PoseErrorSpec
@@ -42,6 +42,7 @@ class DeclaredSpec(SpecModel):
     brdf: _Reflectances | None = Field(
         None, description="A reflectance that the surface may have in place of that on board, or a list of them"
     )
+    detail: DetailSpec | None = optional("Relief of the surface that the shape on board, which has no detail, lacks")
     facets: int | None = Field(None, ge=4, le=MOST_FACETS, description="Facets of a rehearsed body's detail")
     relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")

@@ -145,6 +145,13 @@ class ImageSetSpec(SpecModel):
         """Return the moved poses of a name; None for poses as the table has them."""
         return next((one for one in self.moved if one.name == name), None)
 
+    def as_rendered(self) -> Self:
+        """Return the same views as renderings, with the pose of truth and no other."""
+        moved = tuple(one for one in self.moved if one.name == self.truth)
+        adjusted = self.adjusted if self.adjusted is not None and self.adjusted.name == self.truth else None
+        alone = {"rendered": True, "also_score": (), "aligned": (), "survey": (), "moved": moved, "adjusted": adjusted}
+        return self.model_copy(update=alone)
+
     @rule
     def _renderings_have_one_pose(self) -> None:
         if self.rendered and (self.also_score or self.aligned):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from tiny_campaign import RESULTS, SCENE, files, run, write_campaign
 
 from boresight.campaign.cli import main
-from boresight.campaign.imaging.world import believed
+from boresight.campaign.imaging.world import believed, open_world
 from boresight.campaign.products import product_key
 from boresight.campaign.products.covariance_tuning import build, rehearsed_scenario
 from boresight.campaign.runs.resolve import resolve
@@ -90,7 +91,7 @@ def test_the_method_has_the_declared_error_once_and_the_rehearsed_image_none(tmp
 
 DECLARED = {
     "brdf": {"kind": "oren-nayar"}, "facets": 5000, "relief_below_m": 30.0, "height_error": {"rms_m": 4.0},
-    "sun_error_deg": {"normal": 1.0},
+    "sun_error_deg": {"normal": 1.0}, "detail": {"facets": 9000},
 }  # fmt: skip
 
 
@@ -114,6 +115,28 @@ def test_every_declared_error_changes_the_rehearsals(tmp_path):
         for overrides in [[], *([f"onboard.declared={json.dumps({key: value})}"] for key, value in DECLARED.items())]
     ]
     assert len(set(played)) == 1 + len(DECLARED)
+
+
+def test_views_of_real_images_are_rendered_with_relief_that_the_shape_on_board_lacks(tmp_path):
+    write_campaign(tmp_path)
+    (tmp_path / "set").mkdir()
+    cv2.imwrite(str(tmp_path / "set" / "a.png"), np.full((128, 128), 7, dtype=np.uint8))
+    poses = [[f"{pose}_{name}" for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")] for pose in ("ref", "mine")]
+    head = ",".join(["file", "time_s", *poses[0], *poses[1], "sun_body_x", "sun_body_y", "sun_body_z"])
+    (tmp_path / "set" / "poses.csv").write_text(f"{head}\na.png,0{2 * ',1,0,0,0,0,0,1800'},0,0,-1\n")
+    relief = {"facets": 20000, "roughness": {"rms_m": 4.0, "max_wavelength_m": 60.0, "min_wavelength_m": 20.0}}
+    overrides = [
+        "viewpoint=null", "lighting=null", "body.detail=null", "images={folder: set, also_score: [mine], aligned: [mine]}",
+        f"onboard.declared={json.dumps({'detail': relief})}",
+    ]  # fmt: skip
+    true = load_scenario(str(tmp_path / "scene.yaml"), overrides)
+    played = [rehearsed_scenario(believed(true), OPTIONS, number) for number in (0, 1)]
+    world = open_world(played[0], "llvm_ad_mono")
+    assert world.source.trial_image(3, 0).image.max() > 0.0
+    seen = [load_body(one.spec.body, one.search_dirs).mesh for one in played]
+    known, on_board = (load_body(one.spec.body, one.search_dirs).mesh for one in (believed(played[0]), true))
+    np.testing.assert_array_equal(known.vertices_m, on_board.vertices_m)
+    assert np.abs(seen[0].vertices_m - seen[1].vertices_m).max() > 1.0
 
 
 def test_rehearsed_bodies_have_the_declared_reflectances_in_turn(tmp_path):
@@ -148,6 +171,7 @@ def test_a_wrong_reflectance_is_one_line(tmp_path, laws, refused):
     [
         ([], {"brdf": 5 * [{"kind": "oren-nayar"}]}, "5 reflectances, and each rehearsed body has one"),
         (["body.detail=null"], {"relief_below_m": 5}, "has no detail: leave facets and relief_below_m out"),
+        ([], {"detail": {"facets": 9000}}, "has detail: declare facets and relief_below_m"),
     ],
 )
 def test_errors_that_the_shape_on_board_cannot_have_are_refused(tmp_path, overrides, declared, refused):
