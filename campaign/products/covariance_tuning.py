@@ -93,7 +93,9 @@ def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
             f" estimator at least as many tuning.bodies, not {bodies}"
         )
     if detail is not None and errors.detail is not None:
-        raise NoProductError("onboard.declared.detail: the shape on board has detail: declare facets and relief_below_m")
+        raise NoProductError(
+            "onboard.declared.detail: the shape on board has detail: declare facets and relief_below_m"
+        )
     if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
         raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
 

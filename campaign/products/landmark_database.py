@@ -51,7 +51,8 @@ CANDIDATES_VERSION = 2
 class LandmarkCandidates:
     """Candidate landmarks: de-projected corners of rendered images, (C, 3) for each image, body frame, m.
 
-    ``cameras_m`` (I, 3) are the places of the camera, body frame. ``images_from_store`` is the number of images from the store; None if the candidates came from the cache.
+    ``cameras_m`` (I, 3) are the places of the camera, body frame. ``images_from_store`` is the number of images from
+    the store; None if the candidates came from the cache.
     """
 
     by_image: tuple[FloatArray, ...]

@@ -121,12 +121,14 @@ def test_views_of_real_images_are_rendered_with_relief_that_the_shape_on_board_l
     write_campaign(tmp_path)
     (tmp_path / "set").mkdir()
     cv2.imwrite(str(tmp_path / "set" / "a.png"), np.full((128, 128), 7, dtype=np.uint8))
-    poses = [[f"{pose}_{name}" for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")] for pose in ("ref", "mine")]
+    columns = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+    poses = [[f"{pose}_{name}" for name in columns] for pose in ("ref", "mine")]
     head = ",".join(["file", "time_s", *poses[0], *poses[1], "sun_body_x", "sun_body_y", "sun_body_z"])
     (tmp_path / "set" / "poses.csv").write_text(f"{head}\na.png,0{2 * ',1,0,0,0,0,0,1800'},0,0,-1\n")
     relief = {"facets": 20000, "roughness": {"rms_m": 4.0, "max_wavelength_m": 60.0, "min_wavelength_m": 20.0}}
     overrides = [
-        "viewpoint=null", "lighting=null", "body.detail=null", "images={folder: set, also_score: [mine], aligned: [mine]}",
+        "viewpoint=null", "lighting=null", "body.detail=null",
+        "images={folder: set, also_score: [mine], aligned: [mine]}",
         f"onboard.declared={json.dumps({'detail': relief})}",
     ]  # fmt: skip
     true = load_scenario(str(tmp_path / "scene.yaml"), overrides)
