@@ -21,7 +21,8 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose, RadialDistortion
+from boresight.scenarios.geometry import Camera, OpenCVDistortion, Pose, RadialDistortion
+from boresight.scenarios.geometry.lens import Lens
 from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
 
@@ -147,18 +148,18 @@ class Constants:
         """Return whether a loaded kernel has ``INS<id>_<name>``."""
         return bool(spiceypy.expool(f"INS{self.kernel_id}_{name}"))
 
-    def numbers(self, name: str, count: int) -> NDArray[np.float64]:
-        """Return the ``count`` numbers under ``INS<id>_<name>``.
+    def numbers(self, name: str, *counts: int) -> NDArray[np.float64]:
+        """Return the numbers under ``INS<id>_<name>``, as many as one of ``counts``.
 
-        Raise BoresightError if no loaded kernel has them, their number differs, or one of them is too large.
+        Raise BoresightError if no loaded kernel has them, there are more or fewer, or one of them is too large.
         """
         key = f"INS{self.kernel_id}_{name}"
         try:
             values = np.array(spiceypy.gdpool(key, 0, 100), dtype=np.float64)
         except SPICE_ERRORS as error:
             raise BoresightError(f"{key}: not in the kernels: name the instrument kernel and its addendum") from error
-        if len(values) != count or not (np.abs(values) <= LARGEST_NUMBER).all():
-            said = "one number" if count == 1 else f"{count} numbers"
+        if len(values) not in counts or not (np.abs(values) <= LARGEST_NUMBER).all():
+            said = " or ".join("one number" if count == 1 else f"{count} numbers" for count in counts)
             raise BoresightError(f"{key}: {values.tolist()} is not {said} of any use: check the instrument kernel")
         return values
 
@@ -168,10 +169,16 @@ class Constants:
 
     def above_zero(self, name: str) -> float:
         """Return the one number under ``INS<id>_<name>``, which must be above 0; raise BoresightError if it is not."""
-        value = self.number(name)
-        if not value > 0.0:
-            raise BoresightError(f"INS{self.kernel_id}_{name}: {value:g} is not above 0: check the instrument kernel")
-        return value
+        return self.each_above_zero(name, 1)[0]
+
+    def each_above_zero(self, name: str, *counts: int) -> list[float]:
+        """Return the numbers under ``INS<id>_<name>``, see `numbers`; raise BoresightError if one is not above 0."""
+        values: list[float] = self.numbers(name, *counts).tolist()
+        for value in values:
+            if not value > 0.0:
+                at = f"INS{self.kernel_id}_{name}"
+                raise BoresightError(f"{at}: {value:g} is not above 0: check the instrument kernel")
+        return values
 
 
 _AGREES = 0.05  # relative difference of two focal lengths that are the same but for their units
@@ -184,9 +191,10 @@ def read_camera(kernels: Sequence[str], instrument: str, size_px: tuple[int, int
 
     ``FOV_*`` give the field of view, ``PIXEL_SAMPLES`` and ``PIXEL_LINES`` the size, or else ``size_px``. With
     ``FOCAL_LENGTH`` and ``PIXEL_SIZE`` or ``PIXEL_PITCH`` the focal length is their ratio, in the units (m, mm, um) in
-    which it agrees with the field of view. ``OD_K`` is the distortion of ISIS: 1 - k0 - k1 r^2 - k2 r^4, r in mm. The
-    principal point is the boresight, which must be the z axis of the camera's frame, x along the samples. Raise
-    BoresightError if a kernel is missing, or does not have these.
+    which it agrees with the field of view; two sizes of a pixel are those across and down. ``OD_K`` is the distortion
+    of ISIS: ideal = seen (1 - k0 - k1 r^2 - k2 r^4), r in mm. ``RAD_DIST_COEFF`` is that of Dawn's Framing Cameras,
+    which goes the other way: seen = ideal (1 + e r^2). The principal point is the boresight, which must be the z axis
+    of the camera's frame, x along the samples. Raise BoresightError if a kernel is missing, or does not have these.
     """
     with loaded_kernels(find_kernels(kernels, folders, "kernels")):
         try:
@@ -198,8 +206,9 @@ def read_camera(kernels: Sequence[str], instrument: str, size_px: tuple[int, int
         read = [_above_zero(constants, name) for name in ("PIXEL_SAMPLES", "PIXEL_LINES")]
         width_px, height_px = (int(own or given) for own, given in zip(read, size_px, strict=True))
         focal = _above_zero(constants, "FOCAL_LENGTH")
-        pixel = _above_zero(constants, "PIXEL_SIZE") or _above_zero(constants, "PIXEL_PITCH")
+        pixel, pixel_down = _pixel(constants)
         k0, k1, k2 = constants.numbers("OD_K", 3).tolist() if constants.has("OD_K") else (0.0, 0.0, 0.0)
+        outwards = constants.number("RAD_DIST_COEFF") if constants.has("RAD_DIST_COEFF") else 0.0
     axis = np.array(boresight) / np.linalg.norm(boresight)
     if np.linalg.norm(axis[:2]) > _STRAIGHT or axis[2] < 0.0:
         raise BoresightError(f"the boresight of {instrument} is {axis.round(6).tolist()}, not the z axis of its frame")
@@ -223,8 +232,22 @@ def read_camera(kernels: Sequence[str], instrument: str, size_px: tuple[int, int
     if k0 != 0.0:
         raise BoresightError(f"INS{number}_OD_K: k0 = {k0:g} would change the focal length; only 0 is supported")
     focal_mm = 1e3 * unit_m * focal
-    lens = RadialDistortion(-k1 * focal_mm**2, -k2 * focal_mm**4) if k1 or k2 else None
-    return Camera(width_px, height_px, focal_px, focal_px * float(down / across), *centre, lens)
+    lens: Lens | None = RadialDistortion(-k1 * focal_mm**2, -k2 * focal_mm**4) if k1 or k2 else None
+    if outwards:
+        if lens is not None:
+            raise BoresightError(f"INS{number}: OD_K and RAD_DIST_COEFF are two distortions; leave one kernel out")
+        lens = OpenCVDistortion(outwards * focal_mm**2, 0.0, 0.0, 0.0)
+    ratio = float(down / across) if pixel_down is None else pixel / pixel_down
+    return Camera(width_px, height_px, focal_px, focal_px * ratio, *centre, lens)
+
+
+def _pixel(constants: Constants) -> tuple[float | None, float | None]:
+    """Return the size of a pixel across, None if no kernel has it, and that down if the kernel has both."""
+    for name in ("PIXEL_SIZE", "PIXEL_PITCH"):
+        if constants.has(name):
+            across, *down = constants.each_above_zero(name, 1, 2)
+            return across, down[0] if down else None
+    return None, None
 
 
 def _above_zero(constants: Constants, name: str) -> float | None:

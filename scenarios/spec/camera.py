@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -59,6 +60,13 @@ class DistortionSpec(SpecModel):
     def lens(self) -> Lens:
         """Return the distortion as a value."""
         return RadialDistortion(self.k1 or 0.0, self.k2) if self.opencv is None else OpenCVDistortion(*self.opencv)
+
+    @classmethod
+    def of(cls, lens: Lens) -> Self:
+        """Return the section of a lens."""
+        if isinstance(lens, RadialDistortion):
+            return cls(k1=lens.k1, k2=lens.k2)
+        return cls(opencv=dataclasses.astuple(lens))
 
     def scaled(self, factor: float) -> DistortionSpec:
         """Return the distortion with all coefficients times a factor."""
@@ -156,8 +164,7 @@ class CameraSpec(SpecModel):
         for key in ("width_px", "height_px"):
             if getattr(self, key) not in {type(self).model_fields[key].default, getattr(read, key)}:
                 raise ValueError(f"{key} {getattr(self, key)} is not the kernel's {getattr(read, key)}: leave it out")
-        lens = read.distortion
-        known = DistortionSpec(k1=lens.k1, k2=lens.k2) if isinstance(lens, RadialDistortion) else None
+        known = None if read.distortion is None else DistortionSpec.of(read.distortion)
         size = {"width_px": read.width_px, "height_px": read.height_px, "focal_px": (read.fx_px, read.fy_px)}
         place = {"principal_point_px": (read.cx_px, read.cy_px), "distortion": self.distortion or known}
         return self.model_copy(update={**size, **place, "spice": None})

@@ -84,6 +84,48 @@ def test_distortion_is_in_millimetres_whatever_the_unit_of_the_focal_length(came
     assert ray[:2] / ray[2] == pytest.approx(ideal_mm / 150.0, rel=1e-12)
 
 
+def test_pixels_that_are_not_square_have_a_focal_length_each(camera_of):
+    camera = camera_of(PIXEL_SIZE="( 14.004, 13.995 )")
+    assert (camera.fx_px, camera.fy_px) == pytest.approx((150.0 / 0.014004, 150.0 / 0.013995), rel=1e-12)
+
+
+def test_the_radial_coefficient_of_dawn_goes_from_the_ideal_position_to_the_seen_one(camera_of):
+    camera = camera_of(PIXEL_SIZE="( 14.004, 13.995 )", RAD_DIST_COEFF="( 8.4e-6 )")
+    ideal_mm = 150.0 * np.array([0.03, -0.008])
+    seen_mm = ideal_mm * (1.0 + 8.4e-6 * (ideal_mm @ ideal_mm))
+    seen_px = np.array([512.0, 128.0]) + seen_mm / [0.014004, 0.013995]
+    assert camera.project(np.array([0.03, -0.008, 1.0])) == pytest.approx(seen_px, abs=1e-9)
+
+
+# Dawn's FC2 with the clear filter, of dawn_fc_v10.ti (Schroeder et al. 2013): 1024 x 1024 pixels of 14.004 x 13.995 um.
+DAWN_FC2 = {
+    "FOV_BOUNDARY_CORNERS": None,
+    "FOV_CLASS_SPEC": "'ANGLES'",
+    "FOV_REF_VECTOR": "( 1.0, 0.0, 0.0 )",
+    "FOV_REF_ANGLE": "( 2.7353005 )",
+    "FOV_CROSS_ANGLE": "( 2.7335816 )",
+    "FOV_ANGLE_UNITS": "'DEGREES'",
+    "BORESIGHT": "( 0.0, 0.0, 150.07 )",
+    "PIXEL_LINES": "( 1024 )",
+    "FOCAL_LENGTH": "( 150.07 )",
+    "PIXEL_SIZE": "( 14.004, 13.995 )",
+    "RAD_DIST_COEFF": "( 0.0000084 )",
+}
+
+
+@needs_data("images/dawn_fc_vesta")
+def test_dawn_is_the_camera_of_its_images_of_vesta(camera_of):
+    camera = camera_of(**DAWN_FC2)
+    # COLMAP's model of four images: one pinhole, adjusted with the poses.
+    fx, fy = np.frombuffer(data_path("images/dawn_fc_vesta/cameras.bin").read_bytes()[32:48])
+    assert camera.fx_px == pytest.approx(fx, rel=2e-4)
+    assert camera.fy_px / camera.fx_px == pytest.approx(fy / fx, rel=1e-6)
+    assert (camera.cx_px, camera.cy_px) == pytest.approx((512.0, 512.0), abs=1e-6)
+    # The corner is 10.1 mm from the axis: 0.62 px outwards.
+    corner = np.array([512.0 / camera.fx_px, 512.0 / camera.fy_px, 1.0])
+    assert camera.project(corner) - 1024.0 == pytest.approx(0.44, abs=0.005)
+
+
 def test_sizes_of_the_scenario_serve_where_the_kernel_has_none(camera_of):
     camera = camera_of(more=", width_px: 1024, height_px: 512", PIXEL_SAMPLES=None, PIXEL_LINES=None)
     assert (camera.width_px, camera.height_px) == (1024, 512)
@@ -106,6 +148,9 @@ def test_a_stored_scenario_needs_no_kernel(camera_of, tmp_path):
         ({"FOCAL_LENGTH": "( -1 )"}, "FOCAL_LENGTH"),
         ({"OD_K": "( 0.1 0 0 )"}, "k0 = 0.1 would change the focal length"),
         ({"PIXEL_LINES": "( 0 )"}, "PIXEL_LINES"),
+        ({"PIXEL_SIZE": "( 14, -14 )"}, "PIXEL_SIZE: -14 is not above 0"),
+        ({"PIXEL_SIZE": "( 14, 14, 14 )"}, "is not one number or 2 numbers of any use"),
+        ({"OD_K": "( 0 1e-5 0 )", "RAD_DIST_COEFF": "( 1e-5 )"}, "two distortions"),
         ({"instrument": "NO_CAMERA"}, "do not have an instrument NO_CAMERA"),
         ({"more": ", principal_point_px: [3, 3]"}, "principal_point_px has no part"),
         ({"more": ", width_px: 640"}, "width_px 640 is not the kernel's 1024"),
