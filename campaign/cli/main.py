@@ -26,8 +26,8 @@ WORST = 5
 """How many of the worst trials are drawn by default."""
 
 PEERS = (
-    "all", "quick", "plain", "kernels", "images", "rays", "adjustment", "smoother", "methods", "recognition", "scaling",
-    "size",
+    "all", "quick", "plain", "kernels", "images", "rays", "adjustment", "smoother", "methods", "craters", "combined",
+    "recognition", "scaling", "size",
 )  # fmt: skip
 """Works that tests/benchmarks times, against other software or a yardstick, and groups of them."""
 

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from benchmarks import ceres
 from benchmarks.images import image_ratios, plain_ratios, scaling_ratios
-from benchmarks.methods import method_ratios
+from benchmarks.methods import combined_ratios, crater_ratios, method_ratios
 from benchmarks.ratio import HISTORY, Absent, Kept, Ratio, SpeedTable, checked, read_history, record
 from benchmarks.rays import ray_ratios
 from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
@@ -67,6 +67,8 @@ WORKS: Mapping[str, Callable[[Settings], Iterator[Ratio | Absent]]] = MappingPro
         "adjustment": adjustment_ratios,
         "smoother": smoother_ratios,
         "methods": method_ratios,
+        "craters": crater_ratios,
+        "combined": combined_ratios,
         "recognition": recognition_ratios,
         "scaling": scaling_ratios,
         "size": size_ratios,

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from benchmarks import methods, size
-from benchmarks.methods import METHODS, SEQUENCES, method_ratios
+from benchmarks.methods import METHODS, SEQUENCES, combined_ratios, crater_ratios, method_ratios
 from benchmarks.size import size_ratios
 from benchmarks.timing import YARDSTICK, Seconds, Settings
 from stored_grids import store_wide
@@ -36,7 +36,7 @@ def test_the_ratio_is_of_the_means_of_least_times(monkeypatch):
     clock = {"one": iter([9.0, 9.0, 0.3, *[0.5] * 4]), "other": iter([9.0, 9.0, *[0.5] * 5])}
     monkeypatch.setattr(methods, "timed", lambda work: lambda: Seconds(work(), 0.0))
     monkeypatch.setattr(methods, "yardstick", lambda: Seconds(0.2, 0.0))
-    ratio = methods._beside_yardstick("w", [partial(next, clock["one"]), partial(next, clock["other"])], 5.0, 1)
+    ratio = methods._beside_yardstick("w", [partial(next, clock["one"]), partial(next, clock["other"])], 5.0, 5)
     assert (ratio.ours_s, ratio.peer_s) == pytest.approx((0.4, 0.2))
     assert "2 trials" in ratio.agreement and ratio.aim is None
 
@@ -47,6 +47,34 @@ def test_the_time_of_a_method_that_fails_is_refused(cache, monkeypatch):
     monkeypatch.setattr(methods, "METHODS", {"stars": (scene.replace("1.0e+8", "2.0e+6"), aim_ms)})
     with pytest.raises(BoresightError, match=r"stars, image .*: trial 0 failed \(0 point sources"):
         next(method_ratios(Settings(rounds=1, views=1)))
+
+
+def test_detectors_and_what_is_built_on_other_methods_have_ratios(cache, monkeypatch):
+    """On images of a sixteenth of the pixels, which cost less."""
+    small = methods.CRATER_SCENE.replace("1024", "256").replace("min_diameter_m: 16", "min_diameter_m: 40")
+    monkeypatch.setattr(methods, "CRATER_SCENE", small)
+    found = [*crater_ratios(Settings(rounds=1, views=1)), *combined_ratios(Settings(rounds=1, views=1))]
+    assert [ratio.work.split(",")[0] for ratio in found] == [
+        "crater-learned", "crater-heat-map", "consensus of limb and photometric", "tuned",
+    ]  # fmt: skip
+    assert {(ratio.peer, ratio.clock, ratio.same_run) for ratio in found} == {(YARDSTICK, "cpu", True)}
+    assert all(1e-2 < ratio.ours_s < 20.0 for ratio in found)
+
+
+def test_the_time_of_a_detector_that_finds_nothing_is_refused(cache, monkeypatch):
+    """From four times as far in a small image, no crater is large enough."""
+    far = methods.CRATER_SCENE.replace("1024", "64").replace("range_m: 2000", "range_m: 8000")
+    monkeypatch.setattr(methods, "CRATER_SCENE", far)
+    with pytest.raises(BoresightError, match="crater-learned: it finds no crater"):
+        next(crater_ratios(Settings(rounds=1, views=1)))
+
+
+def test_the_time_of_a_consensus_of_which_one_method_fails_is_refused(cache, monkeypatch):
+    """An exposure of a nanosecond shows no body."""
+    dark = methods.COMBINED_SCENE.replace("exposure_s: 0.1", "exposure_s: 1.0e-9")
+    monkeypatch.setattr(methods, "COMBINED_SCENE", dark)
+    with pytest.raises(BoresightError, match=r"consensus of limb .*: trial 0 failed"):
+        next(combined_ratios(Settings(rounds=1, views=1)))
 
 
 def test_memory_is_that_of_the_work_and_not_of_who_asks():
