@@ -36,11 +36,13 @@ from boresight.scenarios.load import (
 )
 from boresight.scenarios.load.keys import keys_of
 from boresight.scenarios.load.yaml_text import shortened
+from boresight.scenarios.spec.body import without_detail
 from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 if TYPE_CHECKING:
     from boresight.estimators.pages import EstimatorPage
+    from boresight.scenarios.bodies import Body
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
@@ -231,16 +233,17 @@ def validate_command(arguments: argparse.Namespace) -> int:
     from boresight.campaign.runs.check import check_campaign, check_scenario, preflight
     from boresight.campaign.runs.resolve import resolve
 
+    # Shapes and bodies are held until the end, so that each file is read once.
     if is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)
-        told = _tell_memory(campaign.scenarios)
-        check_campaign(campaign, campaign.spec.trials)
+        told, _shapes = _tell_memory(campaign.scenarios)
+        _bodies = check_campaign(campaign, campaign.spec.trials)
         lines = preflight(campaign.scenarios, campaign.spec)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
     else:
         scenario = load_scenario(arguments.file, arguments.overrides)
-        told = _tell_memory((scenario,))
-        check_scenario(scenario)
+        told, _shapes = _tell_memory((scenario,))
+        _checked = check_scenario(scenario)
         lines = preflight((scenario,))
         what = f"the scenario {scenario.spec.name}"
     console().print(f"{arguments.file}: ok, {what}")
@@ -250,18 +253,24 @@ def validate_command(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _tell_memory(scenarios: Sequence[LoadedScenario]) -> set[str]:
-    """Print the size of large bodies before they are made, and return the lines; checks report what is wrong."""
+def _tell_memory(scenarios: Sequence[LoadedScenario]) -> tuple[set[str], list[Body]]:
+    """Print the size of large bodies before they are made; checks report what is wrong.
+
+    Return the lines, and the shapes without detail: as long as a caller holds them, their files are not read again.
+    """
     from boresight.campaign.imaging.preview import memory_in_words
+    from boresight.scenarios.bodies import load_body
 
     told: dict[str, str] = {}  # to the name of the first scenario
+    held: list[Body] = []
     for scenario in scenarios:
         with suppress(BoresightError):
+            held += [load_body(without_detail(body), scenario.search_dirs) for body in scenario.spec.bodies]
             for line in memory_in_words(scenario):
                 told.setdefault(line, f"{scenario.spec.name}: {line}")
     for line in told.values():
         console().print(line)
-    return set(told.values())
+    return set(told.values()), held
 
 
 def schema_command(arguments: argparse.Namespace) -> int:

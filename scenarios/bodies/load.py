@@ -282,7 +282,15 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     key = (digest, path, spec.expected_diameter_m, cache)
     body = _in_use.get(key)
     if body is None:
-        mesh, notes = _coarse(spec, path)
+        bare = without_detail(spec)
+        if bare == spec:
+            mesh, notes = _coarse(spec, path)
+        else:
+            # Where a caller holds it, the file is not read again.
+            coarse = load_body(bare, search_dirs, cache)
+            mesh, notes = coarse.mesh, coarse.notes
+        if spec.even_facets is not None:
+            mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
         if spec.detail is not None or spec.local:
             # Cached without height error and albedo map, which are added afterwards: several share one detailed body.
             # The coarse shape is checked in either case.
@@ -364,16 +372,11 @@ def _map_path(spec: AlbedoMapSpec, search_dirs: Sequence[Path]) -> Path:
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Return the shape of the file or the built-in one, resampled, before the detail."""
-    notes: tuple[str, ...] = ()
+    """Return the shape of the file or the built-in one, before anything is added."""
     if path is None:
-        mesh = EMBEDDED[spec.shape]()
-    else:
-        shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")
-        mesh, notes = checked_mesh(shape, path, spec.unit, spec.expected_diameter_m)
-    if spec.even_facets is not None:
-        mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
-    return mesh, notes
+        return EMBEDDED[spec.shape](), ()
+    shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")
+    return checked_mesh(shape, path, spec.unit, spec.expected_diameter_m)
 
 
 def _detailed(

@@ -5,7 +5,8 @@ import trimesh
 
 from boresight.campaign.cli import main
 from boresight.campaign.imaging.preview import memory_in_words, preview
-from boresight.scenarios.bodies import expected_facets, load_body
+from boresight.scenarios.bodies import expected_facets, load, load_body
+from boresight.scenarios.bodies.readers import read_shape
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.body import MOST_FACETS, BodySpec
@@ -80,3 +81,27 @@ def test_edges_of_the_body_and_of_its_site_are_told_apart():
         edges = next(line for line in preview(without, detailed=detailed) if line.startswith("facets have edges"))
         assert told.split(",")[0] == edges.split(",")[0]
         assert ", at the site of 4 m at most, " in told
+
+
+@pytest.mark.parametrize("detail", ["", ", detail: {facets: 5120}"])
+def test_validate_reads_a_shape_once(detail, tmp_path, capsys, monkeypatch):
+    """Memory, checks and preview each ask for it."""
+    trimesh.creation.icosphere(subdivisions=3, radius=250.0).export(tmp_path / "ball.ply")
+    scene = f"""\
+body: {{shape: ball.ply, unit: m{detail}}}
+camera: {{width_px: 64, height_px: 64, fov_deg: 18}}
+viewpoint: {{range_m: 3000}}
+lighting: {{phase_deg: 40}}
+pose_error: {{position_cam_m: {{normal: [5, 5, 5]}}}}
+"""
+    (tmp_path / "scene.yaml").write_text(scene)
+    (tmp_path / "campaign.yaml").write_text("scenarios: [scene.yaml]\nestimators: [limb]\ntrials: 1\nseed: 1\n")
+    read = []
+
+    def reading(path, *how, **more):
+        read.append(path)
+        return read_shape(path, *how, **more)
+
+    monkeypatch.setattr(load, "read_shape", reading)
+    assert main(["validate", str(tmp_path / "campaign.yaml")]) == 0
+    assert read == [tmp_path / "ball.ply"]
