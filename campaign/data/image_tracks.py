@@ -11,11 +11,11 @@ import numpy as np
 
 from boresight.campaign.imaging.real_images import open_images
 from boresight.campaign.imaging.world import TrialImage, open_world
-from boresight.estimators.landmark.signal import MAD_TO_SIGMA
 from boresight.estimators.slam.vision.image_tracks import ImageTracks, TrackingOptions, track_features
 from boresight.estimators.slam.vision.matching import find_features
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.renderers.rectify import rectify
+from boresight.scenarios.arrays import MAD_TO_SIGMA
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.data import data_folder
 from boresight.scenarios.errors import BoresightError

@@ -17,7 +17,7 @@ from boresight.estimators.approach.profile import ACROSS_PX, DEPTHS_PX, blurred,
 from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch
 from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import MAD_TO_SIGMA, BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.observation import Frame, Observation
@@ -419,7 +419,7 @@ def _outermost_rise(samples: FloatArray, floor: float) -> FloatArray:
 
 def _step(pose: Pose, frame: Frame, by_position: FloatArray, residual_px: FloatArray) -> tuple[Pose, FloatArray]:
     """Take a robust Gauss-Newton step of the translation with the prior; also return the weights (n,), px^-2."""
-    sigma = max(1.4826 * float(np.median(np.abs(residual_px))), 1e-3)
+    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(residual_px))), 1e-3)
     weight = 1.0 / np.maximum(1.0, np.abs(residual_px) / (_HUBER * sigma)) / sigma**2
     known = np.linalg.inv(floor_variances(frame.prior_covariance)[3:, 3:])
     off = pose.translation_m - frame.prior_T_cam_body.translation_m

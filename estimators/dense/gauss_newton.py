@@ -21,13 +21,12 @@ from boresight.estimators.landmark.alignment import (
 )
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.prior import floor_variances
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import MAD_TO_SIGMA, FloatArray, Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.spec.base import SpecModel
 
-_ROBUST_SIGMA = 1.4826
 _REWEIGHTINGS = 3
 _DARK = 1e-3
 _MARGIN_PX = 5
@@ -327,7 +326,7 @@ def _gain(o: FloatArray, i: FloatArray, huber_sigma: float) -> tuple[float, Floa
     gain = float(i @ o / (i @ i))
     for _ in range(_REWEIGHTINGS):
         residual = np.abs(o - gain * i)
-        sigma = _ROBUST_SIGMA * float(np.median(residual))
+        sigma = MAD_TO_SIGMA * float(np.median(residual))
         # Huber: 1 up to the limit, beyond it the limit over the residual.
         weight = 1.0 / np.maximum(1.0, residual / max(huber_sigma * sigma, 1e-300))
         # Weighted least squares for one factor; with fixed weights it has a closed form.

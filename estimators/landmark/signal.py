@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import sigmaclip
 
 from boresight.estimators.contract import Stopwatch
+from boresight.scenarios.arrays import MAD_TO_SIGMA
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Frame
@@ -22,7 +23,6 @@ _CORNER_FRACTION = 1 / 16
 _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16
 _FULL_SCALE_PERCENTILE = 99.0
-MAD_TO_SIGMA = 1.4826
 _COVERED, _CLEAR_SIGMA = 0.1, 5.0
 _UNEVEN, _UNEVEN_TIMES = 0.05, 2.0
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from boresight.estimators.landmark.signal import MAD_TO_SIGMA
-from boresight.scenarios.arrays import BoolArray, FloatArray, Image
+from boresight.scenarios.arrays import MAD_TO_SIGMA, BoolArray, FloatArray, Image
 
 _REWEIGHTINGS = 5
 _TUKEY = 2.5

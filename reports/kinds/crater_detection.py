@@ -38,7 +38,7 @@ from boresight.reports.statistics.intervals import has_quantile
 from boresight.reports.statistics.measured import MEDIAN, RMS, Measured, Sample, measure_share
 from boresight.reports.tables import timing_grid
 from boresight.reports.verdicts import comparison_grid
-from boresight.scenarios.arrays import BoolArray
+from boresight.scenarios.arrays import MAD_TO_SIGMA, BoolArray
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
 from boresight.scenarios.geometry import Ellipses
 
@@ -296,7 +296,6 @@ def _image_grid(run: RunData) -> Grid:
     return Grid("Images", heads, tuple(rows), frozenset({0, 1}))
 
 
-_OF_NORMAL = 1.4826
 _SIZES = 10
 _LEAST = 5 * _SIZES
 _EMISSION_DEG, _INCIDENCE_DEG, _IN_FRAME = 65.0, 80.0, 0.95
@@ -304,11 +303,11 @@ _HEADS = ("centre_sigma_px", "centre_sigma_radii", "size_sigma", "axes_sigma", "
 _RIM_NOTE = (
     "Deviations under the names that `association` has for them, of detections that reach the detector's threshold and"
     " are matched. A coordinate of the centre has the variance centre_sigma_px^2 + (centre_sigma_radii r)^2, fitted to"
-    " tenths of the detections by their radius r; each tenth's is the median absolute deviation times 1.4826, as those"
-    " who use it leave out what is far off. Size and axes are logarithms of the ratios of radii and of ratios of axes,"
-    " weighed by a normal law: standard deviations. redetected: of craters that two other images show detected, the"
-    f" share detected where they are in the frame, emission under {_EMISSION_DEG:g} deg and incidence under"
-    f" {_INCIDENCE_DEG:g} deg. A campaign whose methods are given these must show other craters."
+    " tenths of the detections by their radius r; each tenth's is the median absolute deviation times"
+    f" {MAD_TO_SIGMA}, as those who use it leave out what is far off. Size and axes are logarithms of the ratios of"
+    " radii and of ratios of axes, weighed by a normal law: standard deviations. redetected: of craters that two other"
+    f" images show detected, the share detected where they are in the frame, emission under {_EMISSION_DEG:g} deg and"
+    f" incidence under {_INCIDENCE_DEG:g} deg. A campaign whose methods are given these must show other craters."
 )
 
 
@@ -328,7 +327,7 @@ def rim_scatter(one: DetectorResults) -> dict[str, float] | None:
     centre = found[["centre_error_u_px", "centre_error_v_px"]].to_numpy(dtype=np.float64)
     tenths = np.array_split(np.argsort(np.sqrt(square), kind="stable"), _SIZES)
     spread = [np.median(np.abs(centre[rows] - np.median(centre[rows]))) for rows in tenths]
-    variance = (_OF_NORMAL * np.array(spread)) ** 2
+    variance = (MAD_TO_SIGMA * np.array(spread)) ** 2
     weight = 1.0 / np.maximum(variance, np.finfo(np.float64).tiny)
     squares = np.array([square[rows].mean() for rows in tenths])
     fitted, _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from adjustment.bundle import Block, Surface
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import MAD_TO_SIGMA, FloatArray
 from boresight.scenarios.geometry import TriangleMesh
 
 _NEIGHBOURS = 12
@@ -49,7 +49,7 @@ class Shape:
         """Move a block by the similarity that brings its landmarks next to the shape, point to plane."""
         for _ in range(steps):
             residual_m, normal = self.offsets(block.landmarks_m)
-            spread = max(1.4826 * float(np.median(np.abs(residual_m))), 5.0)
+            spread = max(MAD_TO_SIGMA * float(np.median(np.abs(residual_m))), 5.0)
             w = 1.0 / np.sqrt(1.0 + (residual_m / (2.0 * spread)) ** 2)
             along = np.einsum("ki,ki->k", normal, block.landmarks_m)
             jacobian = np.c_[np.cross(block.landmarks_m, normal), normal, along]

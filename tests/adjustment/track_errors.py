@@ -16,8 +16,7 @@ import numpy as np
 from scipy import optimize, stats
 from scipy.spatial.transform import Rotation
 
-from boresight.estimators.landmark.signal import MAD_TO_SIGMA
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import MAD_TO_SIGMA, BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, angle_between
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.sequences.track_table import TrackTable

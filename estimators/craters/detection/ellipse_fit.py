@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from boresight.estimators.craters.detection.grouping import RimArc
 from boresight.estimators.craters.detection.preparation import EdgePixels, PreparedImage
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.arrays import MAD_TO_SIGMA, FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 
@@ -33,9 +33,8 @@ def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> 
     for _ in range(rounds):
         far = sampson_distances(points, conics)
         far = np.where(np.isfinite(far), far, 0.0)
-        # 1.4826 times the median absolute deviation is the standard deviation of a Gaussian; the floor of 0.1 px keeps
-        # a fit through nearly perfect points from rejecting all but those exactly on it.
-        spread = np.maximum(1.4826 * _median(np.abs(far), weights), 0.1)
+        # The floor of 0.1 px keeps a fit through nearly perfect points from rejecting all but those exactly on it.
+        spread = np.maximum(MAD_TO_SIGMA * _median(np.abs(far), weights), 0.1)
         robust = (1.0 + (far / (_CUTOFF * spread[:, None])) ** 2) ** -2.0
         homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
         # The algebraic distance is to first order the geometric one times the gradient of the conic, 2 |(C x)_1:2|:
