@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -354,8 +355,10 @@ def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
         exact = known.noise_m_s2 is None or known.noise_m_s2 == forces.noise_m_s2
         noise = f"{known.noise_m_s2} for {forces.noise_m_s2:g} m/s2"
         yield _item("size of what is not modelled", exact, noise)
-    stated = {"px": known.walk_px, "m": known.field_m}
-    adding = " and ".join(f"{size:g} {unit}" for unit, size in stated.items() if size)
+    px = math.hypot(known.walk_px or 0.0, known.drift_px or 0.0)
+    share = f"{known.contraction:g} of the distance from the centre" if known.contraction else ""
+    stated = f"{px:g} px" if px else "", share
+    adding = " and ".join(part for part in stated if part)
     adding = f"errors that accumulate by {adding} a frame" if adding else ""
     yield from _exacts(
         "laws of all errors" + (" but those of pixels" if sighted or vision.track_errors or adding else "")

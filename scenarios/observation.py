@@ -166,9 +166,10 @@ class TrackFrame:
     walk_px
         Standard deviation of a coordinate's random step since the previous frame, of each track: its errors add up
         along the track, beside the independent error of `sigma_px`. Zero: none is known of.
-    field_m
-        Standard deviation of each axis of a constant vector a, camera axes: since the previous frame the point that a
-        track follows has moved by ``(a . n) n``, n being its outward normal in camera axes. Zero: none is known of.
+    contraction, drift_px
+        Standard deviations of a share c and of the coordinates of d, px, which are constant and common to all tracks:
+        since the previous frame the error of a track at the pixel p has grown by ``d - c (p - p0)``, p0 being the
+        principal point. Zero: none is known of.
     """
 
     time_s: float
@@ -184,7 +185,8 @@ class TrackFrame:
     attitude_sigma_rad: float = 0.0
     attitude_bias_sigma_rad: float = 0.0
     walk_px: float = 0.0
-    field_m: float = 0.0
+    contraction: float = 0.0
+    drift_px: float = 0.0
 
     @property
     def attitude_noise_rad(self) -> float:

@@ -82,7 +82,8 @@ def onboard_sequence(
             attitude_sigma_rad=float(sigmas[i]),
             attitude_bias_sigma_rad=float(lasting[i]),
             walk_px=knowledge.walk_px or 0.0,
-            field_m=knowledge.field_m or 0.0,
+            contraction=knowledge.contraction or 0.0,
+            drift_px=knowledge.drift_px or 0.0,
         )
         for i, sighting in enumerate(sightings)
     )

@@ -125,12 +125,11 @@ _MOST_ROUNDS = 1000  # of draws to fill a frame
 class SimulatedTracks:
     """Simulated landmarks and their tracks.
 
-    Each of T tracks has its true point and the outward unit normal of the surface there, (T, 3) each in the body frame,
-    and the number of its landmark. ``seen`` are the track numbers of every frame, ascending.
+    Each of T tracks has its true point, (T, 3) in the body frame, and the number of its landmark. ``seen`` are the
+    track numbers of every frame, ascending.
     """
 
     points_m: FloatArray
-    normals: FloatArray
     landmarks: IndexArray
     seen: tuple[IndexArray, ...]
 
@@ -192,7 +191,7 @@ def _renewed_tracks(
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
         points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
         seen.append(alive)
-    return SimulatedTracks(points, normals, np.arange(len(points)), tuple(seen))
+    return SimulatedTracks(points, np.arange(len(points)), tuple(seen))
 
 
 def _fixed_field_tracks(
@@ -230,7 +229,7 @@ def _fixed_field_tracks(
         seen.append(np.sort(track[track >= 0]))
         older = visible
     numbers = np.array(landmarks, dtype=np.int64)
-    return SimulatedTracks(points[numbers], normals[numbers], numbers, tuple(seen))
+    return SimulatedTracks(points[numbers], numbers, tuple(seen))
 
 
 def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
@@ -323,28 +322,23 @@ def accumulated_errors_px(
 ) -> Iterator[FloatArray]:
     """Yield for each frame, (n, 2), the errors of its tracks that accumulate; they are zero where a track begins.
 
-    From frame to frame a pixel takes a random step of its own. Common to all tracks are: a step of ``drift_px``, drawn
-    for the sequence; a step towards the principal point, by the share ``contraction`` of the distance of the true point
-    from it; and the field. By the field the point that a track follows moves by ``a (s . n) n``, n its outward unit
-    normal in camera axes; the vector ``a s``, fixed in camera axes, is drawn for the sequence with a standard deviation
-    of ``field_m`` along each axis.
+    From frame to frame a pixel takes a random step of its own. Common to all tracks are a step of ``drift_px``, drawn
+    for the sequence, and a step towards the principal point, by the share ``contraction`` of the distance of the true
+    point from it.
     """
     # From a stream of its own, so that the other draws do not depend on it.
     drift_px = errors.drift_px * rng.spawn(1)[0].normal(size=2)
-    field_m = errors.field_m * rng.normal(size=3)
-    moved_px, moved_m = np.zeros((len(simulated.points_m), 2)), np.zeros_like(simulated.points_m)
+    rng.normal(size=3)  # so that walks are those of the rows that were made so far
+    moved_px = np.zeros((len(simulated.points_m), 2))
     previous = np.empty(0, dtype=np.int64)
     for tracks, pose in zip(simulated.seen, poses, strict=True):
         # Drawn for all tracks, so that it does not matter which go on.
         steps = errors.walk_px * noise(errors.student_t, (len(tracks), 2), rng)
         old = np.isin(tracks, previous)
-        normals = simulated.normals[tracks[old]]
-        moved_m[tracks[old]] += ((normals @ pose.rotation.T) @ field_m)[:, None] * normals
-        points = simulated.points_m[tracks]
-        seen, true = (camera.project(pose.transform(place)) for place in (points + moved_m[tracks], points))
+        true = camera.project(pose.transform(simulated.points_m[tracks]))
         steps += drift_px - errors.contraction * (true - [camera.cx_px, camera.cy_px])
         moved_px[tracks[old]] += steps[old]
-        yield moved_px[tracks] + seen - true
+        yield moved_px[tracks]
         previous = tracks
 
 

@@ -181,12 +181,6 @@ class TrackErrorsSpec(SpecModel):
     walk_px: float = Field(
         0.0, ge=0, description="Standard deviation of a coordinate's random step from frame to frame, of each track"
     )
-    field_m: float = Field(
-        0.0,
-        ge=0,
-        description="Size of an error common to all landmarks: standard deviation of each axis of a vector in camera"
-        " axes, drawn for a sequence; from frame to frame landmarks move along their normals by its component there",
-    )
     contraction: float = Field(
         0.0,
         gt=-0.1,
@@ -306,9 +300,15 @@ class SequenceKnowledgeSpec(SpecModel):
         " left out: none",
         gt=0,
     )
-    field_m: float | None = optional(
-        "Standard deviation of each axis of the field, as in sequence.vision.track_errors, that estimators assume; left"
-        " out: none",
+    contraction: float | None = optional(
+        "Standard deviation of the contraction, as in sequence.vision.track_errors, that estimators assume; left out:"
+        " none",
+        gt=0,
+        lt=1,
+    )
+    drift_px: float | None = optional(
+        "Standard deviation of each coordinate of a step that all tracked points take from frame to frame, that"
+        " estimators assume; left out: none",
         gt=0,
     )
 

@@ -116,7 +116,7 @@ def test_an_orbit_that_leads_into_the_body_by_known_forces_is_refused(tmp_path, 
     assert "begin farther away or lower the forces" in error
 
 
-@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=.nan", "field_m=0", "field_m=much"])
+@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=.nan", "contraction=0", "contraction=1", "drift_px=much"])
 def test_impossible_knowledge_of_track_errors_is_one_line(capsys, stated):
     assert main(["validate", "vesta-simulated-slam", "--set", f"sequence.knowledge.{stated}"]) == 2
     said = capsys.readouterr().err.strip()

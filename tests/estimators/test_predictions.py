@@ -117,14 +117,11 @@ def test_a_filter_that_starts_at_the_truth_has_the_predicted_covariance(estimato
     )
 
 
-def test_a_filter_that_measures_the_attitude_or_considers_a_field_has_no_prediction():
+def test_a_filter_that_measures_the_attitude_has_no_prediction():
     sequence, truth = make_sequence(np.random.default_rng(3), Recipe(frames=4))
     at = truth.positions_m, truth.points_m
     assert EkfSlam().predict(sequence, *at) is not None
     assert EkfSlam.from_options({"camera": "pose"}).predict(sequence, *at) is None
-    field = replace(sequence, frames=tuple(replace(frame, field_m=0.1) for frame in sequence.frames))
-    assert EkfSlam().predict(field, *at) is None
-    assert FixedLagSmoother().predict(field, *at) is not None
     assert DynamicSmoother().predict(sequence, *at) is None  # no forces
 
 

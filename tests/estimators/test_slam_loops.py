@@ -274,8 +274,10 @@ def test_closed_loops_are_consistent_with_errors_that_add_up_along_tracks() -> N
     for trial in range(trials):
         sequence, positions, points = loop(10 + trial)
         rng = np.random.default_rng(trial)
-        given = with_track_errors(rng, sequence, Truth(positions, dict(enumerate(points))), 0.5, 0.1)
-        silent = replace(given, frames=tuple(replace(f, walk_px=0.0, field_m=0.0) for f in given.frames))
+        given = with_track_errors(rng, sequence, Truth(positions, dict(enumerate(points))), 0.5, 2e-4)
+        silent = replace(
+            given, frames=tuple(replace(f, walk_px=0.0, contraction=0.0, drift_px=0.0) for f in given.frames)
+        )
         squares = []
         for one in (given, silent):
             estimate = LoopSmoother.from_options({"closure_frames": 10}).follow(one)

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
-from slam_sequences import CAMERA, Recipe, make_sequence, with_track_errors
+from slam_sequences import CAMERA, Recipe, central_differences, make_sequence, with_track_errors
 
 from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.adjustment.problem import QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, minimise, view_covariance
-from boresight.estimators.slam.adjustment.track_errors import FIELD
+from boresight.estimators.slam.adjustment.track_errors import COMMON
 
-WALK_PX, FIELD_M = 0.4, 0.05
+WALK_PX, CONTRACTION, DRIFT_PX = 0.4, 1e-3, 0.1
 POSITION_M = 0.5
+SILENT = {"walk_px": 0.0, "contraction": 0.0, "drift_px": 0.0}
 
 
 class Dense:
-    """The frames as one least-squares problem with each step of each walk, and the field, as unknowns.
+    """The frames as one least-squares problem with each step of each walk, contraction and drift as unknowns.
 
     ``across`` are tracks whose step into frame 1 is a displacement of the landmark across the line of sight there.
     """
@@ -40,9 +41,12 @@ class Dense:
         cameras = dict(zip(self.frames, x[: 3 * count].reshape(-1, 3), strict=True))
         points = dict(zip(self.tracks, x[3 * count :][: 3 * len(self.tracks)].reshape(-1, 3), strict=True))
         rest = x[3 * (count + len(self.tracks)) :]
-        field, steps = rest[:3], dict(zip(self.steps, rest[3:].reshape(-1, 2), strict=True))
+        common, steps = (
+            rest[:3] * [CONTRACTION, DRIFT_PX, DRIFT_PX],
+            dict(zip(self.steps, rest[3:].reshape(-1, 2), strict=True)),
+        )
         first = self.map.positions_m[self.frames[0]]
-        found = [(cameras[self.frames[0]] - first) / POSITION_M, field / FIELD_M, rest[3:] / WALK_PX]
+        found = [(cameras[self.frames[0]] - first) / POSITION_M, rest[:3], rest[3:] / WALK_PX]
         for before, k in zip(self.frames, self.frames[1:], strict=False):
             frame = self.map.frames[k]
             root = np.linalg.cholesky(np.linalg.inv(frame.motion_covariance_m2)).T
@@ -56,15 +60,16 @@ class Dense:
             ]
             for row, track in enumerate(frame.tracks.tolist()):
                 if track in points:
-                    pixel = self._pixel(track, k, cameras[k], points[track], field, steps)
+                    pixel = self._pixel(track, k, cameras[k], points[track], common, steps)
                     found.append((pixel - frame.uv_px[row]) / frame.sigma_px)
         return np.concatenate(found)
 
-    def _pixel(self, track, k, camera, point, field, steps) -> np.ndarray:
-        frame, normal = self.map.frames[k], self.places[track] / np.linalg.norm(self.places[track])
-        point, bias = point.copy(), np.zeros(2)
+    def _pixel(self, track, k, camera, point, common, steps) -> np.ndarray:
+        frame, point, bias = self.map.frames[k], point.copy(), np.zeros(2)
         for now in range(self.began[track] + 1, k + 1):
-            point += normal * (self.map.frames[now].R_cam_body @ normal @ field)
+            then = self.map.frames[now]
+            (at,) = then.uv_px[then.tracks == track]
+            bias += common[1:] - common[0] * (at - [CAMERA.cx_px, CAMERA.cy_px])
             if track in self.across and now == 1:
                 R = self.map.frames[1].R_cam_body
                 J = CAMERA.jacobian((R @ (self.places[track] - self.camera_1))[None])[0] @ R
@@ -85,12 +90,12 @@ def small():
     """Six frames with track errors; the map at the truth."""
     rng = np.random.default_rng(3)
     sequence, truth = make_sequence(rng, Recipe(frames=6, landmarks=9, repeatability=0.85))
-    sequence = with_track_errors(rng, sequence, truth, WALK_PX, FIELD_M)
+    sequence = with_track_errors(rng, sequence, truth, WALK_PX, CONTRACTION)
     slam_map = SlamMap(CAMERA)
     for frame in sequence.frames:
         slam_map.errors.add(frame)
     slam_map.frames = dict(enumerate(sequence.frames))
-    slam_map.positions_m = {**dict(enumerate(truth.positions_m)), FIELD: np.zeros(3)}
+    slam_map.positions_m = {**dict(enumerate(truth.positions_m)), COMMON: np.zeros(3)}
     slam_map.points_m = dict(truth.points_m)
     tracks = sorted(track for track, by in slam_map.seen_by(range(6)).items() if len(by) >= 2)
     return slam_map, tracks, sequence
@@ -98,7 +103,7 @@ def small():
 
 def adjustment(slam_map: SlamMap, tracks: list[int], views: list[int], prior: QuadraticPrior | None):
     problem = replace(slam_map.problem(views, tracks), motions=slam_map.motions(views), prior=prior)
-    return slam_map.errors.extended(problem, views, (tracks, slam_map.state((), tracks).points_m))
+    return slam_map.errors.extended(problem, views, tracks)
 
 
 def first_prior(slam_map: SlamMap) -> QuadraticPrior:
@@ -113,21 +118,59 @@ def test_an_adjustment_equals_dense_least_squares_with_every_step_as_an_unknown(
     prior = replace(first_prior(slam_map), views=np.array([0, 6]))
     for kept in (None, np.arange(len(tracks)) % 3 == 0):
         problem = replace(adjustment(slam_map, tracks, views, prior), kept_points=kept)
-        found = minimise(problem, slam_map.state([*views, FIELD], tracks), StoppingRule(1e-10))
+        found = minimise(problem, slam_map.state([*views, COMMON], tracks), StoppingRule(1e-10))
         covariance = view_covariance(problem, found.state, 5)
         wanted, spread = Dense(slam_map, tracks, views, set()).solve()
         np.testing.assert_allclose(found.state.positions_m[5], wanted, atol=1e-4 * np.sqrt(spread.max()))
         np.testing.assert_allclose(covariance, spread, rtol=2e-4, atol=1e-5 * spread.max())
 
 
-def test_a_pixel_that_comes_back_is_compared_with_the_point_that_the_field_has_moved(small):
-    slam_map, (track, *_), _ = small
-    point_m, field_m = np.array([10.0, -70.0, 40.0]), np.array([0.3, -0.2, 0.5])
-    began = min(k for k, frame in slam_map.frames.items() if track in frame.tracks)
-    normal, moved_m = point_m / np.linalg.norm(point_m), np.zeros(3)
-    for frame in [slam_map.frames[k] for k in range(began + 1, 6)]:
-        moved_m += (frame.R_cam_body.T @ field_m) @ normal * normal
-    np.testing.assert_allclose(slam_map.errors.moved_m(track, 5, point_m, field_m), moved_m, rtol=1e-12)
+def test_what_common_errors_add_to_the_covariance_is_their_effect_on_the_answer_by_differences(small):
+    """P' = P + S V S': S of an adjustment that takes them for zero; V what is left unknown of them."""
+    slam_map, tracks, _ = small
+    views = list(range(6))
+    told = adjustment(slam_map, tracks, views, replace(first_prior(slam_map), views=np.array([0, 6])))
+    state = slam_map.state([*views, COMMON], tracks)
+    deaf = SlamMap(CAMERA)
+    deaf.positions_m, deaf.points_m = slam_map.positions_m, slam_map.points_m
+    exact = {
+        k: CAMERA.project(
+            (np.array([deaf.points_m[t] for t in f.tracks.tolist()]) - deaf.positions_m[k]) @ f.R_cam_body.T
+        )
+        for k, f in slam_map.frames.items()
+    }
+    prior = QuadraticPrior.of_first_position(slam_map.positions_m[0], POSITION_M**2 * np.eye(3))
+    for frame in slam_map.frames.values():
+        deaf.errors.add(replace(frame, contraction=0.0, drift_px=0.0))
+
+    def last_m(shift: np.ndarray) -> np.ndarray:
+        for k, frame in slam_map.frames.items():
+            deaf.frames[k] = replace(frame, uv_px=exact[k] + slam_map.errors.moved(k, frame.tracks.tolist()) @ shift)
+        return minimise(adjustment(deaf, tracks, views, prior), deaf.state(views, tracks), StoppingRule(1e-11)).state
+
+    size = 1e-3 * slam_map.errors.common_m
+    S = central_differences(lambda shift: last_m(shift).positions_m[5], np.zeros(3), np.full(3, size))
+    known = view_covariance(adjustment(deaf, tracks, views, prior), deaf.state(views, tracks), 5)
+    wanted = known + S @ view_covariance(told, state, 6) @ S.T
+    np.testing.assert_allclose(view_covariance(told, state, 5), wanted, atol=1e-2 * wanted.max())
+    assert np.trace(known) < 0.9 * np.trace(wanted)
+
+
+def test_the_steps_of_a_track_add_up_from_its_second_sighting_on(small):
+    slam_map, tracks, _ = small
+    for track in tracks:
+        total, seen = np.zeros((2, 3)), False
+        for number, frame in slam_map.frames.items():
+            if track not in frame.tracks:
+                continue
+            u, v = frame.uv_px[frame.tracks == track][0]
+            step = [
+                [CONTRACTION * (CAMERA.cx_px - u), DRIFT_PX, 0.0],
+                [CONTRACTION * (CAMERA.cy_px - v), 0.0, DRIFT_PX],
+            ]
+            total, seen = total + seen * np.array(step), True
+            found = slam_map.errors.moved(number, [track])[0] * slam_map.errors.common_m
+            np.testing.assert_allclose(found, total, rtol=1e-12, atol=1e-15)
 
 
 def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):
@@ -141,22 +184,23 @@ def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):
         uv = exact + share * (frame.uv_px - exact)
         motion = there - slam_map.positions_m[max(len(quiet.frames) - 1, 0)]
         moved = motion + share * (frame.motion_m - motion)
-        quiet.frames[len(quiet.frames)] = replace(frame, uv_px=uv, motion_m=moved)
+        frame = replace(frame, uv_px=uv, motion_m=moved)
         quiet.errors.add(frame)
+        quiet.frames[len(quiet.frames)] = frame
     quiet.positions_m, quiet.points_m = dict(slam_map.positions_m), first
     views = list(range(6))
     problem = adjustment(quiet, tracks, views, replace(first_prior(quiet), views=np.array([0, 6])))
-    state = quiet.state([*views, FIELD], tracks)
+    state = quiet.state([*views, COMMON], tracks)
     last, oldest = set(quiet.frames[5].tracks.tolist()), set(quiet.frames[0].tracks.tolist())
     lost = np.array([track in oldest - last for track in tracks])
     local = marginalise_view(problem, state, 0, lost)
-    names = np.array([*views, FIELD])
+    names = np.array([*views, COMMON])
     prior = replace(local, views=names[local.views], points=np.array(tracks)[local.points])
     at = quiet.positions_m[1], quiet.frames[1].R_cam_body
     quiet.errors.since = 1
     prior = quiet.errors.carried(prior, 0, CAMERA, at)
     left = [track for track, gone in zip(tracks, lost.tolist(), strict=True) if not gone]
-    kept = [*views[1:], FIELD]
+    kept = [*views[1:], COMMON]
     prior = replace(prior, views=np.searchsorted(kept, prior.views), points=np.searchsorted(left, prior.points))
     window = adjustment(quiet, left, views[1:], prior)
     found = minimise(window, State(state.positions_m[1:], quiet.state((), left).points_m), StoppingRule(1e-12))
@@ -185,13 +229,13 @@ def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):
         ("consistent-ekf-slam", {}),
     ],
 )
-@pytest.mark.parametrize("declared", [(0.5, 0.0), (0.0, 0.3), (0.5, 0.3)])
+@pytest.mark.parametrize("declared", [(0.5, 0.0), (0.0, 3e-3), (0.5, 3e-3)])
 def test_covariances_describe_the_errors_of_tracks(name, options, declared):
     check_consistency(name, options, declared, 24)
 
 
 def test_covariances_of_a_filter_of_poses_do_too():
-    check_consistency("consistent-ekf-slam", {"camera": "pose"}, (0.5, 0.3), 12)
+    check_consistency("consistent-ekf-slam", {"camera": "pose"}, (0.5, 3e-3), 12)
 
 
 def check_consistency(name, options, declared, runs):
@@ -200,7 +244,7 @@ def check_consistency(name, options, declared, runs):
         rng = np.random.default_rng(100 + seed)
         sequence, truth = make_sequence(rng, Recipe(frames=frames, repeatability=0.9))
         sequence = with_track_errors(rng, sequence, truth, *declared)
-        silent = replace(sequence, frames=tuple(replace(f, walk_px=0.0, field_m=0.0) for f in sequence.frames))
+        silent = replace(sequence, frames=tuple(replace(f, **SILENT) for f in sequence.frames))
         for one, squares in ((sequence, told), (silent, untold)):
             estimate = sequence_estimator_class(name).from_options(options).follow(one)
             assert estimate.status == "ok", estimate.reason

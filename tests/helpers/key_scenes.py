@@ -183,8 +183,9 @@ sequence:
   body_motion: {kind: spin}
   vision:
     {landmarks_per_frame: 30, field: fixed, recognised: 0.6,
-     track_errors: {walk_px: 0.3, field_m: 0.5, contraction: 1.0e-3, drift_px: 0.1, student_t: 5}}
-  knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7, walk_px: 0.3, field_m: 0.5}
+     track_errors: {walk_px: 0.3, contraction: 1.0e-3, drift_px: 0.1, student_t: 5}}
+  knowledge:
+    {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7, walk_px: 0.3, contraction: 1.0e-3, drift_px: 0.1}
 """,
     "sequence": SEQUENCE,
     "free": SEQUENCE.replace("orbit: {step_deg: 6, revolutions: 0.2}", "trajectory: {table: states.csv}").replace(

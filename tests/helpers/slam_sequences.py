@@ -134,24 +134,18 @@ def _on_sphere(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def with_track_errors(
-    rng: np.random.Generator, sequence: TrackSequence, truth: Truth, walk_px: float, field_m: float
+    rng: np.random.Generator, sequence: TrackSequence, truth: Truth, walk_px: float, common: float
 ) -> TrackSequence:
-    """Add a walk to the tracks of a sequence above a sphere, and a field; the frames declare both."""
-    field, frames = field_m * rng.standard_normal(3), []
-    walk: dict[int, FloatArray] = {}
-    moved: dict[int, FloatArray] = {}
+    """Add a walk to the tracks of a sequence, and a contraction and drift of 100 px ``common``; all are declared."""
+    drift_px = 100.0 * common
+    contraction, drift, frames = common * rng.standard_normal(), drift_px * rng.standard_normal(2), []
+    added: dict[int, FloatArray] = {}
     for position, frame in zip(truth.positions_m, sequence.frames, strict=True):
         uv = frame.uv_px.copy()
         for row, track in enumerate(frame.tracks.tolist()):
-            point = truth.points_m[track]
-            normal = point / np.linalg.norm(point)
-            if track in walk:
-                walk[track] = walk[track] + walk_px * rng.standard_normal(2)
-                moved[track] = moved[track] + (frame.R_cam_body @ normal @ field) * normal
-            else:
-                walk[track], moved[track] = np.zeros(2), np.zeros(3)
-            lines = np.stack([point + moved[track], point]) - position
-            seen, true = CAMERA.project(lines @ frame.R_cam_body.T)
-            uv[row] += walk[track] + seen - true
-        frames.append(replace(frame, uv_px=uv, walk_px=walk_px, field_m=field_m))
+            true = CAMERA.project((truth.points_m[track] - position)[None] @ frame.R_cam_body.T)[0]
+            step = walk_px * rng.standard_normal(2) + drift - contraction * (true - [CAMERA.cx_px, CAMERA.cy_px])
+            added[track] = added[track] + step if track in added else np.zeros(2)
+            uv[row] += added[track]
+        frames.append(replace(frame, uv_px=uv, walk_px=walk_px, contraction=common, drift_px=drift_px))
     return replace(sequence, frames=tuple(frames))

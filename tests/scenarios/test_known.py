@@ -268,9 +268,9 @@ def test_errors_that_accumulate_along_a_track_are_not_known():
 
 @pytest.mark.parametrize("errors", ["{}", "{vision: {track_errors: {walk_px: 0.4}}}"])
 def test_what_is_stated_of_errors_that_accumulate_is_listed(errors: str):
-    stated = "sequence.knowledge={walk_px: 0.4, field_m: 3}"
+    stated = "sequence.knowledge={walk_px: 0.4, drift_px: 0.3, contraction: 1.0e-3}"
     known = known_on_board(load_scenario("apophis-sphere-sequence", [f"sequence={errors}", stated]).spec)
-    told = "0.6667 px are told, and errors that accumulate by 0.4 px and 3 m a frame"
+    told = "0.6667 px are told, and errors that accumulate by 0.5 px and 0.001 of the distance from the centre a frame"
     assert f"pixel noise ({told})" in known.line()
 
 

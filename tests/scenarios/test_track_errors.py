@@ -1,4 +1,4 @@
-"""Errors of simulated tracks that accumulate: their laws, and a field against its geometry."""
+"""Errors of simulated tracks that accumulate: their laws, and those that are common to all tracks."""
 
 from __future__ import annotations
 
@@ -73,48 +73,12 @@ def test_noise_is_normal_or_student_of_the_same_deviation():
     assert np.var(heavy) == pytest.approx(1.0, abs=4.0 * np.sqrt(8.0 / 40_000))
 
 
-def test_a_field_moves_points_along_their_normals_by_the_vector_of_the_sequence():
-    """A camera that comes down along z over a plane whose normals point to it, and one across it."""
-    points = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, -20.0, 0.0]])
-    normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
-    seen = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2]))
-    tracks = SimulatedTracks(points, normals, np.arange(3), seen)
-    poses = [Pose(np.eye(3), np.array([0.0, 0.0, distance])) for distance in (900.0, 800.0, 700.0)]
-    spec = TrackErrorsSpec(field_m=2.0)
-    found = list(accumulated_errors_px(spec, tracks, poses, CAMERA, np.random.default_rng(8)))
-    vector = 2.0 * np.random.default_rng(8).normal(size=3)
-    assert not found[0].any()
-    # Along z: a point at x is seen at f x / (z - h) after it has risen by h = -(a s)_z of each frame.
-    rise = -vector[2]
-    np.testing.assert_allclose(found[1][0], 0.0, atol=1e-9)
-    assert found[1][1] == pytest.approx([CAMERA.fx_px * 30.0 * (1 / (800.0 - rise) - 1 / 800.0), 0.0], abs=1e-9)
-    assert found[2][0] == pytest.approx([CAMERA.fx_px * 30.0 * (1 / (700.0 - 2 * rise) - 1 / 700.0), 0.0], abs=1e-9)
-    assert not found[1][2].any(), "a track begins without error"
-    tilted = (0.6 * vector[0] - 0.8 * vector[2]) * normals[2]
-    wanted = (
-        CAMERA.project((points[2] + tilted + [0, 0, 700.0])[None])[0]
-        - CAMERA.project((points[2] + [0, 0, 700.0])[None])[0]
-    )
-    np.testing.assert_allclose(found[2][1], wanted, atol=1e-9)
-
-
-def test_a_field_is_common_to_the_landmarks_of_a_sequence_and_another_in_the_next():
-    slopes = []
-    for trial in range(6):
-        frames = errors_of(trial, noise_px=0, track_errors="{field_m: 0.1}")
-        errors = np.array([frames[1][track] for track in frames[0].keys() & frames[1].keys()])
-        assert np.linalg.norm(errors, axis=1).max() > 0.0
-        slopes.append(errors.mean())
-    assert len(set(np.round(slopes, 9))) == 6
-
-
 def test_a_contraction_is_a_share_of_the_way_to_the_principal_point_in_each_sequence():
     """The places are those of OpenCV's projection; what has added up since a track began is summed here."""
     camera = Camera(1024, 900, 1000.0, 1200.0, 500.0, 400.0)
     matrix = np.array([[1000.0, 0.0, 500.0], [0.0, 1200.0, 400.0], [0.0, 0.0, 1.0]])
     points = np.array([[40.0, 10.0, 0.0], [-60.0, -30.0, 20.0], [5.0, 70.0, -10.0]])
-    normals = np.tile([0.0, 0.0, -1.0], (3, 1))
-    tracks = SimulatedTracks(points, normals, np.arange(3), (np.array([0, 1]), np.arange(3), np.arange(3)))
+    tracks = SimulatedTracks(points, np.arange(3), (np.array([0, 1]), np.arange(3), np.arange(3)))
     turns = [np.array([0.02 * k, -0.01, 0.3 * k]) for k in range(3)]
     poses = [Pose(cv2.Rodrigues(turn)[0], np.array([5.0 * k, 0.0, 800.0 - 50.0 * k])) for k, turn in enumerate(turns)]
     places = [
@@ -154,17 +118,17 @@ def test_what_is_stated_of_them_reaches_the_frames_and_nothing_else():
     scene = "apophis-sphere-sequence"
     plain, told = (
         draw_sequence(load_scenario(scene, stated).spec.sequence, CAMERA, GROUND, 11, 0)[1].frames
-        for stated in ((), ("sequence.knowledge={walk_px: 0.3, field_m: 2}",))
+        for stated in ((), ("sequence.knowledge={walk_px: 0.3, contraction: 2.0e-4, drift_px: 0.1}",))
     )
-    assert {(frame.walk_px, frame.field_m) for frame in plain} == {(0.0, 0.0)}
-    assert {(frame.walk_px, frame.field_m) for frame in told} == {(0.3, 2.0)}
+    assert {(frame.walk_px, frame.contraction, frame.drift_px) for frame in plain} == {(0.0, 0.0, 0.0)}
+    assert {(frame.walk_px, frame.contraction, frame.drift_px) for frame in told} == {(0.3, 2e-4, 0.1)}
     for one, other in zip(plain, told, strict=True):
         np.testing.assert_array_equal(one.uv_px, other.uv_px)
         assert one.sigma_px == other.sigma_px
     assert "walk_px" not in canonical_json(load_scenario(scene).spec)
 
 
-@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=0", "field_m=.nan", "field_m=.inf", "field_m=fast"])
+@pytest.mark.parametrize("stated", ["walk_px=-1", "walk_px=0", "contraction=.nan", "drift_px=.inf", "drift_px=fast"])
 def test_impossible_knowledge_of_them_is_refused(stated):
     with pytest.raises(BoresightError, match=rf"sequence\.knowledge\.{stated.partition('=')[0]}"):
         load_scenario("apophis-sphere-sequence", (f"sequence.knowledge.{stated}",))
@@ -172,7 +136,7 @@ def test_impossible_knowledge_of_them_is_refused(stated):
 
 @pytest.mark.parametrize(
     "errors",
-    ["{student_t: 2}", "{walk_px: -1}", "{field_m: .nan}", "{walk: 1}", "{contraction: 0.1}", "{drift_px: -1}"],
+    ["{student_t: 2}", "{walk_px: -1}", "{drift_px: .nan}", "{walk: 1}", "{contraction: 0.1}", "{drift_px: -1}"],
 )
 def test_impossible_errors_are_refused(errors):
     with pytest.raises(BoresightError, match=r"sequence\.vision\.track_errors"):

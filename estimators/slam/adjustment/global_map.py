@@ -10,7 +10,7 @@ import numpy as np
 from boresight.estimators.slam.adjustment.problem import Adjustment, Motions, QuadraticPrior
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
 from boresight.estimators.slam.adjustment.solver import view_covariance
-from boresight.estimators.slam.adjustment.track_errors import FIELD, TrackErrors
+from boresight.estimators.slam.adjustment.track_errors import COMMON, TrackErrors
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.observation import TrackFrame, TrackSequence
 
@@ -85,7 +85,7 @@ class GlobalMap:
         free[0] = bool(np.any(self.first_covariance_m2))
         first = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2) if free[0] else None
         prior, names = slam_map.errors.prior(first), slam_map.errors.views(views)
-        slam_map.positions_m.setdefault(FIELD, np.zeros(3))
+        slam_map.positions_m.setdefault(COMMON, np.zeros(3))
         problem = replace(
             slam_map.problem(views, tracks),
             free_views=free,
@@ -93,8 +93,7 @@ class GlobalMap:
             prior=None if prior is None else replace(prior, views=lookup(names, prior.views)),
             kept_points=np.isin(tracks, sorted(kept)),
         )
-        landmarks = tracks, slam_map.state((), tracks).points_m
-        return slam_map.errors.extended(problem, views, landmarks, self.members), tracks
+        return slam_map.errors.extended(problem, views, tracks, self.members), tracks
 
     def covariance(self, points_m: FloatArray) -> FloatArray | None:
         """(3, 3) covariance of the last position, m^2, at the present ones and landmarks (T, 3) by track.
@@ -131,5 +130,7 @@ def planned_covariance(
     """
     known = GlobalMap(sequence, motion=motion)
     for frame, position_m in zip(sequence.frames, positions_m, strict=True):
-        known.plan(frame, position_m)
+        seen_m = np.array([points_m[track] for track in frame.tracks.tolist()]).reshape(-1, 3)
+        planned_px = sequence.camera.project((seen_m - position_m) @ frame.R_cam_body.T)
+        known.plan(replace(frame, uv_px=planned_px), position_m)
     return known.covariance(points_m)

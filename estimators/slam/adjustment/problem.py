@@ -26,11 +26,11 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AddedErrors:
-    """Errors of pixels that add up along a track: a random walk, and a field common to all landmarks.
+    """Errors of pixels that add up along a track: a random walk, and errors common to all tracks.
 
     Pixels of a landmark with the same ``branch`` (k,) share a walk, whose variance at each is ``walk_px2`` (k,); two of
-    them have the smaller one as covariance. The point seen is the landmark plus ``moved`` (k, 3, 3) times the field,
-    which is the last view of the problem: its position is the field, m. ``moved`` (0, 3, 3): there is no field.
+    them have the smaller one as covariance. A pixel is that of the landmark plus ``moved`` (k, 2, 3), px/m, times three
+    common numbers, which stand as position of the last view of the problem. ``moved`` (0, 2, 3): there are none.
     """
 
     branch: IndexArray
@@ -42,7 +42,7 @@ class AddedErrors:
         return AddedErrors(self.branch[rows], self.walk_px2[rows], self.moved[rows] if len(self.moved) else self.moved)
 
 
-_NO_ERRORS = AddedErrors(_none(), np.zeros(0), np.zeros((0, 3, 3)))
+_NO_ERRORS = AddedErrors(_none(), np.zeros(0), np.zeros((0, 2, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

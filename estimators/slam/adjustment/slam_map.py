@@ -46,7 +46,7 @@ class SlamMap:
         self.frames: dict[int, TrackFrame] = {}
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
-        self.errors = TrackErrors()
+        self.errors = TrackErrors(camera)
         self.guessed: set[int] = set()
         self.gated = False
         self.last_depth_m: float | None = None

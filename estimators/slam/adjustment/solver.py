@@ -20,7 +20,7 @@ from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import TrackFrame
 
 _NO_ROWS, _NO_VALUES, _NO_VECTORS, _NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0))
-_NO_FIELD = np.zeros((0, 3, 3))
+_NO_MOVES = np.zeros((0, 2, 3))
 _VIEW_0, _VIEW_1 = np.array([0]), np.array([1])
 
 RANK_TOLERANCE = 1e-11
@@ -90,7 +90,7 @@ def place_view(
         np.array([False, True]),
         np.zeros(count, np.bool_),
         np.zeros(count, np.bool_),
-        _NO_ROWS, _NO_VALUES, _NO_FIELD,  # errors that add up
+        _NO_ROWS, _NO_VALUES, _NO_MOVES,  # errors that add up
     )[0]  # fmt: skip
     position: FloatArray = placed[1].copy()
     return position

@@ -87,9 +87,9 @@ def residual_squares(problem: Adjustment, state: State) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     seen = problem.pixels
     lines = state.points_m[seen.point] - state.positions_m[seen.view]
-    if seen.added is not None and len(seen.added.moved):
-        lines = lines + seen.added.moved @ state.positions_m[-1]
     predicted_px = problem.camera.project(np.einsum("kij,kj->ki", problem.R_cam_body[seen.view], lines))
+    if seen.added is not None and len(seen.added.moved):
+        predicted_px = predicted_px + seen.added.moved @ state.positions_m[-1]
     return np.asarray((((predicted_px - seen.uv_px) / seen.whole_sigma_px[:, None]) ** 2).sum(axis=1), dtype=np.float64)
 
 
@@ -285,9 +285,9 @@ class OutlierGate:
             frame, again = self.raw_frames[view], set()
             for track in self.refused.get(view, set()) & points_m.keys():
                 uv_px = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
-                # The field, if there is one, is the last of the positions.
-                moved_m = self.slam_map.errors.moved_m(track, view, points_m[track], adjusted.state.positions_m[-1])
-                predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] + moved_m - position_m))
+                predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] - position_m))
+                # Common errors, if there are any, are the last of the positions.
+                predicted_px += self.slam_map.errors.moved(view, [track])[0] @ adjusted.state.positions_m[-1]
                 # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower
                 # limit also keeps a pixel from being refused and readmitted in turn.
                 walked_px = np.sqrt(self.slam_map.errors.walk_px2(view, [track])[0])

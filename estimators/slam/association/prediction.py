@@ -121,7 +121,7 @@ class SharedUncertainty:
         covariance = np.zeros((size + 3, size + 3))
         covariance[:size, :size] = before
         covariance[size:, size:] = motion_covariance_m2
-        # The field, which has the slot after those of the views, is left out: it moves a pixel little in one frame.
+        # Common errors, which have the slot after those of the views, are left out: they move a pixel little.
         free = {view: 3 * slot for view, slot in zip(views, view_slots.tolist(), strict=False) if slot >= 0}
         return cls(covariance, free, {j: 3 * slot for j, slot in enumerate(point_slots.tolist()) if slot >= 0})
 

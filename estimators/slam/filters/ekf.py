@@ -40,10 +40,9 @@ class _PredictedFilter(ConfiguredEstimator[Options]):
     def predict(self, sequence: TrackSequence, positions_m: FloatArray, points_m: FloatArray) -> FloatArray | None:
         """Predict by all frames at once, see `SequenceEstimator`: a linear filter has used the same measurements.
 
-        The weak prior of a new landmark's distance is not in it. None with ``camera: pose``, whose attitude is unknown,
-        and with ``field_m``, which a filter considers and all frames would estimate.
+        The weak prior of a new landmark's distance is not in it. None with ``camera: pose``, whose attitude is unknown.
         """
-        if self.options.camera == "pose" or any(frame.field_m for frame in sequence.frames[:1]):
+        if self.options.camera == "pose":
             return None
         return planned_covariance(sequence, positions_m, points_m)
 
@@ -56,8 +55,8 @@ class EkfSlam(_PredictedFilter[FilterOptions]):
     Use it when
     -----------
     The method of the paper is wanted. Otherwise use ``consistent-ekf-slam`` or ``fixed-lag``. Errors that add up along
-    tracks are not of the paper, and are modelled if they are stated (``walk_px`` and ``field_m`` of
-    ``sequence.knowledge``).
+    tracks are not of the paper, and are modelled if they are stated (``walk_px``, ``contraction``
+    and ``drift_px`` of ``sequence.knowledge``).
 
     It fails when
     -------------
@@ -82,7 +81,7 @@ class EkfSlam(_PredictedFilter[FilterOptions]):
     """
 
     name: ClassVar[str] = "ekf-slam"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model = FilterOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -111,7 +110,7 @@ class IteratedEkfSlam(_PredictedFilter[IteratedFilterOptions]):
     """
 
     name: ClassVar[str] = "iterated-ekf-slam"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = IteratedFilterOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -130,8 +129,8 @@ class ConsistentEkfSlam(_PredictedFilter[ConsistentFilterOptions]):
     Use it when
     -----------
     A filter is wanted whose covariance describes its errors. With ``camera: pose`` it also models a misaligned camera.
-    Errors that add up along tracks are modelled if they are stated (``walk_px`` and ``field_m`` of
-    ``sequence.knowledge``).
+    Errors that add up along tracks are modelled if they are stated (``walk_px``, ``contraction``
+    and ``drift_px`` of ``sequence.knowledge``).
 
     It fails when
     -------------
@@ -151,7 +150,7 @@ class ConsistentEkfSlam(_PredictedFilter[ConsistentFilterOptions]):
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = ConsistentFilterOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -106,10 +106,8 @@ class PoseState(FilterState):
         covariance[_LASTING, _LASTING] = lasting
         covariance[_TURN, _LASTING] = covariance[_LASTING, _TURN] = -lasting
         x = np.concatenate([position_m, np.zeros(cls.CAMERA - 3)])
-        tracks, anchors, settled = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros((0, 4))
         errors = turn_noise_rad, frame.attitude_bias_sigma_rad
-        field = np.zeros((cls.CAMERA, 3)) if frame.field_m else None
-        return cls(x, covariance, tracks, anchors, settled, frame, field, frame.R_cam_body, *errors)
+        return cls(*cls.without_landmarks(x, covariance, frame), frame.R_cam_body, *errors)
 
     @property
     def velocity_m_s(self) -> FloatArray:
@@ -124,7 +122,7 @@ class PoseState(FilterState):
     @property
     def anchor_turns(self) -> FloatArray:
         """(n, 3) rotation vectors of the anchors' attitude errors."""
-        return self.x[self.CAMERA :].reshape(-1, self.LANDMARK)[:, _ANCHOR_TURN]
+        return self.x[self.head :].reshape(-1, self.LANDMARK)[:, _ANCHOR_TURN]
 
     @property
     def anchor_attitudes(self) -> FloatArray:
@@ -204,22 +202,19 @@ class PoseState(FilterState):
         covariance[C] = F @ covariance[C]
         covariance[:, C] = covariance[:, C] @ F.T
         covariance[C, C] += noise
-        field = self.field_covariance
-        if field is not None:
-            field = np.concatenate([F @ field[C], field[self.CAMERA :]])
         # dR/dt = -[rate] R for R_cam_inertial, with the rate in camera axes.
         turned = rotation_of(-self.x[_RATE] * dt) @ self.R_camera
         # R_cam_body(new) = dR R_cam_body(old) R_body_inertial(old) R_inertial_body(new).
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
         R_camera = turned @ about
-        return replace(self, x=x, covariance=covariance, field_covariance=field, frame=frame, R_camera=R_camera)
+        return replace(self, x=x, covariance=covariance, frame=frame, R_camera=R_camera)
 
     def with_errors_reset(self) -> Self:
         """Apply the estimated attitude errors to the attitudes and reset them to zero."""
         # The camera first, then the anchors.
         turns = np.concatenate([self.x[None, _TURN], self.anchor_turns])
         rotations = rotation_of(turns) @ np.concatenate([self.R_camera[None], self.R_cam_body])
-        first = np.concatenate([[_TURN.start], self.CAMERA + self.LANDMARK * np.arange(len(self.tracks)) + SIZE])
+        first = np.concatenate([[_TURN.start], self.head + self.LANDMARK * np.arange(len(self.tracks)) + SIZE])
         rows = first[:, None] + np.arange(3)
         x, covariance = self.x.copy(), self.covariance.copy()
         x[rows] = 0.0
@@ -228,11 +223,7 @@ class PoseState(FilterState):
         covariance[rows] = J @ covariance[rows]
         # The columns, by a view of the transpose; the blocks on the diagonal get J on both sides.
         covariance.T[rows] = J @ covariance.T[rows]
-        field = self.field_covariance
-        if field is not None:
-            field = field.copy()
-            field[rows] = J @ field[rows]
-        reset = replace(self, x=x, covariance=covariance, field_covariance=field)
+        reset = replace(self, x=x, covariance=covariance)
         return replace(reset, R_camera=rotations[0], R_cam_body=rotations[1:])
 
     def _transition(self, frame: TrackFrame) -> tuple[FloatArray, FloatArray]:

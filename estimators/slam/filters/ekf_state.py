@@ -12,12 +12,19 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from boresight.estimators.slam.adjustment.track_errors import common_steps
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, cross_matrix
 from boresight.scenarios.observation import TrackFrame
 
 SIZE = 6
+
+
+def common_count(frame: TrackFrame) -> int:
+    """Return the number of elements of the errors common to all tracks: none if none are declared."""
+    return 3 if frame.contraction or frame.drift_px else 0
 
 
 def landmark_points(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
@@ -67,10 +74,9 @@ class FilterState:
     Jacobians); NaN if they are taken at the present estimate.
 
     A landmark is the point that its track follows, which moves from frame to frame where errors of the track add up
-    (`TrackFrame`): at random by ``walk_px``, and by a field common to all landmarks. The field is a considered
-    parameter (Schmidt-Kalman filter): its uncertainty is part of ``covariance`` and of all gains, and it is not
-    estimated. ``field_covariance`` (C + L n, 3) is the covariance of the state's error with it; None: no field is
-    declared.
+    (`TrackFrame`) at random by ``walk_px``. Errors common to all tracks, if they are declared, are three elements after
+    those of the camera, each over its standard deviation; ``moved`` (n, 2, 3) are the derivatives of the pixels of the
+    landmarks by them, px.
     """
 
     x: FloatArray
@@ -79,7 +85,7 @@ class FilterState:
     R_cam_body: FloatArray
     settled: FloatArray
     frame: TrackFrame
-    field_covariance: FloatArray | None
+    moved: FloatArray
 
     CAMERA: ClassVar[int] = 3
     LANDMARK: ClassVar[int] = SIZE
@@ -89,9 +95,26 @@ class FilterState:
     @classmethod
     def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame) -> FilterState:
         """Return a state without landmarks."""
-        none, field = np.zeros(0, dtype=np.int64), np.zeros((3, 3)) if frame.field_m else None
-        state = position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4))
-        return FilterState(*state, frame, field)
+        return FilterState(*cls.without_landmarks(position_m, covariance_m2, frame))
+
+    @staticmethod
+    def without_landmarks(
+        x: FloatArray, covariance: FloatArray, frame: TrackFrame
+    ) -> tuple[FloatArray, FloatArray, IndexArray, FloatArray, FloatArray, TrackFrame, FloatArray]:
+        """Return the fields of a state of a camera (C,) with its covariance (C, C), and of the common errors."""
+        common, none = common_count(frame), np.zeros(0, dtype=np.int64)
+        x, covariance = np.append(x, np.zeros(common)), block_diag(covariance, np.eye(common))
+        return x, covariance, none, np.zeros((0, 3, 3)), np.zeros((0, 4)), frame, np.zeros((0, 2, 3))
+
+    @property
+    def head(self) -> int:
+        """Number of elements before those of the landmarks."""
+        return self.CAMERA + common_count(self.frame)
+
+    @property
+    def common(self) -> FloatArray:
+        """(3,) common errors of the tracks; (0,) if none are declared."""
+        return self.x[self.CAMERA : self.head]
 
     @property
     def position_m(self) -> FloatArray:
@@ -116,7 +139,7 @@ class FilterState:
     @property
     def landmarks(self) -> FloatArray:
         """(n, 6) elements of equation (8)."""
-        return self.x[self.CAMERA :].reshape(-1, self.LANDMARK)[:, :SIZE]
+        return self.x[self.head :].reshape(-1, self.LANDMARK)[:, :SIZE]
 
     @property
     def linearisation_landmarks(self) -> FloatArray:
@@ -130,7 +153,7 @@ class FilterState:
     def inverse_sigmas(self) -> FloatArray:
         """(n,) relative standard deviations of the inverse distances."""
         # rho is the third element of each landmark.
-        variances = np.diag(self.covariance)[self.CAMERA + 2 :: self.LANDMARK]
+        variances = np.diag(self.covariance)[self.head + 2 :: self.LANDMARK]
         return np.asarray(np.sqrt(variances) / self.landmarks[:, 2], dtype=np.float64)
 
     def points(self, camera: Camera) -> FloatArray:
@@ -163,31 +186,18 @@ class FilterState:
         return replace(self, x=x, covariance=covariance, frame=frame).with_moved_landmarks(camera)
 
     def with_moved_landmarks(self, camera: Camera) -> Self:
-        """Add the errors of the tracks since the previous frame to the covariance of the landmarks."""
-        frame, covariance, field = self.frame, self.covariance, self.field_covariance
+        """Add the errors of the tracks since the previous frame: the walk to the covariance, and the common steps."""
+        frame, covariance = self.frame, self.covariance
         if frame.walk_px:
             covariance = covariance.copy()
-            first = self.CAMERA + self.LANDMARK * np.arange(len(self.tracks))
+            first = self.head + self.LANDMARK * np.arange(len(self.tracks))
             for row in (first, first + 1):
                 # The pixel of the anchor for that of this frame: they differ by the change of view alone.
                 covariance[row, row] += frame.walk_px**2
-        if field is not None and len(self.tracks):
-            moved = np.zeros_like(field)
-            moved[self.CAMERA :].reshape(-1, self.LANDMARK, 3)[:, :3] = self._moved_by_field(camera)
-            cross = field @ moved.T
-            # P' = F P F' of landmark and field, with F = [[I, G], [0, I]]; that of the field stays sigma^2 I.
-            covariance = covariance + cross + cross.T + frame.field_m**2 * moved @ moved.T
-            field = field + frame.field_m**2 * moved
-        return replace(self, covariance=covariance, field_covariance=field)
-
-    def _moved_by_field(self, camera: Camera) -> FloatArray:
-        """(n, 3, 3) derivatives of pixel and inverse distance of the landmarks by the field."""
-        normals = self.points(camera)
-        # The surface is unknown: its normals are taken as those of a sphere about the body's centre.
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        displaced = normals[:, :, None] * (normals @ self.attitude.T)[:, None, :]
-        by_element = landmark_jacobians(camera, self.linearisation_landmarks, self.anchor_attitudes)[:, :, :3]
-        return np.asarray(np.linalg.solve(by_element, displaced), dtype=np.float64)
+        _, rows, seen = np.intersect1d(self.tracks, frame.tracks, assume_unique=True, return_indices=True)
+        moved = self.moved.copy()
+        moved[rows] += common_steps(camera, frame)[seen]
+        return replace(self, covariance=covariance, moved=moved)
 
     def with_errors_reset(self) -> Self:
         """Apply the estimated errors in ``x`` to reference values outside of it, if there are any, and reset them."""
@@ -196,12 +206,12 @@ class FilterState:
     def without(self, lost: NDArray[np.bool_]) -> Self:
         """Drop the landmarks marked in ``lost`` (n,), with their rows and columns."""
         # Dropping rows and columns of a covariance marginalises: what the landmark has contributed to the camera stays.
-        rows = np.concatenate([np.ones(self.CAMERA, dtype=np.bool_), np.repeat(~lost, self.LANDMARK)])
+        rows = np.concatenate([np.ones(self.head, dtype=np.bool_), np.repeat(~lost, self.LANDMARK)])
         return replace(
             self,
             x=self.x[rows],
             covariance=self.covariance[np.ix_(rows, rows)],
-            field_covariance=None if self.field_covariance is None else self.field_covariance[rows],
+            moved=self.moved[~lost],
             tracks=self.tracks[~lost],
             R_cam_body=self.R_cam_body[~lost],
             settled=self.settled[~lost],
@@ -231,7 +241,6 @@ class FilterState:
         cross = by_camera @ self.covariance
         own = cross @ by_camera.T  # eq. (10)
         own += np.diag(np.concatenate([noise, np.zeros((new, anchor))], axis=1).ravel())  # eq. (11)
-        field = self.field_covariance
         return replace(
             self,
             x=np.concatenate([self.x, anchored.ravel()]),
@@ -239,5 +248,5 @@ class FilterState:
             tracks=np.concatenate([self.tracks, tracks]),
             R_cam_body=np.concatenate([self.R_cam_body, np.broadcast_to(self.attitude, (new, 3, 3))]),
             settled=np.concatenate([self.settled, np.full((new, 4), np.nan)]),
-            field_covariance=None if field is None else np.concatenate([field, by_camera @ field]),
+            moved=np.concatenate([self.moved, np.zeros((new, 2, 3))]),
         )

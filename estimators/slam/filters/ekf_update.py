@@ -84,7 +84,9 @@ class FrameMeasurements:
         """(2 k + r,) measured minus predicted; NaN where a landmark is behind the camera."""
         # At the present estimates: only derivatives are taken at points of linearisation.
         lines = state.points(self.camera) - state.position_m
-        pixels = self.uv_px - self.camera.project(lines[self.rows] @ state.attitude.T)
+        pixels = (
+            self.uv_px - self.camera.project(lines[self.rows] @ state.attitude.T) - self._moved(state) @ state.common
+        )
         lengths = np.linalg.norm(lines[self.range_rows], axis=1)
         return np.concatenate([pixels.ravel(), self.range_m - lengths])
 
@@ -100,9 +102,17 @@ class FrameMeasurements:
         by_line = self.camera.jacobian(seen @ state.attitude.T) @ state.attitude
         by_range = (ranged / np.linalg.norm(ranged, axis=1)[:, None])[:, None, :]
         by_landmark = state.landmark_jacobians(self.camera)
-        pixels = _state_jacobian(state.camera_jacobians(by_line, seen), by_line, by_landmark, self.rows)
-        ranges = _state_jacobian(state.camera_jacobians(by_range, ranged), by_range, by_landmark, self.range_rows)
+        moved = self._moved(state)
+        still = np.zeros((len(ranged), 1, moved.shape[2]))
+        by_head = np.concatenate([state.camera_jacobians(by_line, seen), moved], axis=2)
+        pixels = _state_jacobian(by_head, by_line, by_landmark, self.rows)
+        by_head = np.concatenate([state.camera_jacobians(by_range, ranged), still], axis=2)
+        ranges = _state_jacobian(by_head, by_range, by_landmark, self.range_rows)
         return Innovation(self.residual(state), np.concatenate([pixels, ranges]), self.variance)
+
+    def _moved(self, state: FilterState) -> FloatArray:
+        """(k, 2, 3) derivatives of the pixels by the common errors of the tracks; (k, 2, 0) if none are declared."""
+        return state.moved[self.rows, :, : len(state.common)]
 
     def second_order(self, state: FilterState) -> FloatArray:
         """(2 k, 2 k) second-order term of the innovation covariance if both a distance and the camera are uncertain.
@@ -117,18 +127,16 @@ class FrameMeasurements:
         return block_diagonal(own * (state.inverse_sigmas[self.rows] ** 2)[:, None, None])
 
 
-def _state_jacobian(
-    by_camera: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray
-) -> FloatArray:
+def _state_jacobian(by_head: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray) -> FloatArray:
     """(k r, C + L n) derivative by the whole state of measurements of the landmarks ``rows`` (k,).
 
-    Given are the derivatives (k, r, C) by the camera and (k, r, 3) by the line of sight, and those (n, 3, L) of the
-    points by the landmark elements.
+    Given are the derivatives (k, r, C) by what is before the landmarks and (k, r, 3) by the line of sight, and those
+    (n, 3, L) of the points by the landmark elements.
     """
-    count, height, first = by_camera.shape
+    count, height, first = by_head.shape
     size = by_landmark.shape[2]
     jacobian = np.zeros((count, height, first + size * len(by_landmark)))
-    jacobian[:, :, :first] = by_camera
+    jacobian[:, :, :first] = by_head
     columns = first + size * rows[:, None] + np.arange(size)
     # Indexing with arrays on both sides of a slice moves the slice last: (k, L, r).
     jacobian[np.arange(count)[:, None], :, columns] = np.swapaxes(by_line @ by_landmark[rows], 1, 2)
@@ -153,7 +161,7 @@ def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, fl
     # K r = P H' S^-1 r = W' L^-1 r, and r' S^-1 r = |L^-1 r|^2.
     white = solve_triangular(factor, innovation.residual, lower=True, check_finite=False)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    moved = replace(_conditioned(state, innovation, factor, weighted), x=state.x + weighted.T @ white)
+    moved = replace(_conditioned(state, weighted), x=state.x + weighted.T @ white)
     return moved.with_errors_reset(), float(white @ white)
 
 
@@ -203,17 +211,12 @@ def iterated_update(
     innovation = measured.innovation(state)
     factor, crossed = _factorise(covariance, innovation)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    return _conditioned(state, innovation, factor, weighted).with_errors_reset(), cost
+    return _conditioned(state, weighted).with_errors_reset(), cost
 
 
-def _conditioned(state: AnyState, innovation: Innovation, factor: FloatArray, weighted: FloatArray) -> AnyState:
-    """Return a state with its covariances after an update, given L and W = L^-1 H P."""
-    field = state.field_covariance
-    if field is not None:
-        # (I - K H) P_xf = P_xf - W' L^-1 H P_xf: with the gain of the field set to zero, P_xx is as it is with that of
-        # the optimal gain, and the variance of the field stays as it was.
-        field = field - weighted.T @ solve_triangular(factor, innovation.jacobian @ field, lower=True)
-    return replace(state, covariance=state.covariance - weighted.T @ weighted, field_covariance=field)
+def _conditioned(state: AnyState, weighted: FloatArray) -> AnyState:
+    """Return a state with its covariance after an update, given W = L^-1 H P."""
+    return replace(state, covariance=state.covariance - weighted.T @ weighted)
 
 
 def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:

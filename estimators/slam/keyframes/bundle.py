@@ -173,7 +173,7 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
     No range is measured at the first frame, its landmark is lost before another takes the gauge over, or too few
     landmarks are seen twice in the window. In ``delpech2015-comparison`` 83 of 100 runs of 10 landmarks a frame ended,
     89 of 100 of 15 and of 20. The error of the scale is handed on and grows. Errors that add up along a track
-    (``walk_px`` and ``field_m`` of ``sequence.knowledge``) are not modelled.
+    (``walk_px``, ``contraction`` and ``drift_px`` of ``sequence.knowledge``) are not modelled.
 
     Cost
     ----

@@ -209,8 +209,8 @@ class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
     -------------
     The sequence gives no forces, too few landmarks are shared by two frames, the scale is unobservable, or the squared
     normalised innovation exceeds ``innovation_max``: forces or tracks are not what they are said to be. The gravity is
-    that of a point. Errors that add up along a track (``walk_px`` and ``field_m`` of ``sequence.knowledge``) are not
-    modelled.
+    that of a point. Errors that add up along a track (``walk_px``, ``contraction`` and ``drift_px`` of
+    ``sequence.knowledge``) are not modelled.
 
     Cost
     ----

@@ -109,7 +109,8 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
     It fails when
     -------------
     gtsam is not installed; gtsam reports an indeterminate system; otherwise as ``batch``. Outliers are not rejected,
-    and errors that add up along a track (``walk_px`` and ``field_m`` of ``sequence.knowledge``) are not modelled.
+    and errors that add up along a track (``walk_px``, ``contraction`` and ``drift_px`` of ``sequence.knowledge``) are
+    not modelled.
 
     Cost
     ----
@@ -147,8 +148,8 @@ class GtsamFixedLag(GtsamIsam2):
     It fails when
     -------------
     gtsam is not installed; gtsam reports an indeterminate system; otherwise as ``fixed-lag``. Outliers are not
-    rejected, and errors that add up along a track (``walk_px`` and ``field_m`` of ``sequence.knowledge``) are not
-    modelled.
+    rejected, and errors that add up along a track (``walk_px``, ``contraction`` and ``drift_px`` of
+    ``sequence.knowledge``) are not modelled.
 
     Cost
     ----

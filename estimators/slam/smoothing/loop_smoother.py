@@ -97,7 +97,7 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
     """
 
     name: ClassVar[str] = "loop-smoother"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model = LoopOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

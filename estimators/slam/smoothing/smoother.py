@@ -12,7 +12,7 @@ from boresight.estimators.slam.adjustment.global_map import planned_covariance
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
 from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, view_covariance
-from boresight.estimators.slam.adjustment.track_errors import FIELD
+from boresight.estimators.slam.adjustment.track_errors import COMMON
 from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -34,8 +34,8 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     Use it when
     -----------
     The usual choice for tracks along an orbit: small errors, a covariance that describes them, and cost that does not
-    grow. Errors that add up along tracks are modelled if they are stated (``walk_px`` and ``field_m`` of
-    ``sequence.knowledge``): on ``vesta-simulated-tracks`` with the errors of real tracks and a range every 10 frames
+    grow. Errors that add up along tracks are modelled if they are stated (``walk_px``, ``contraction`` and ``drift_px``
+    of ``sequence.knowledge``): on ``vesta-simulated-tracks`` with the errors of real tracks and a range every 10 frames
     the mean NEES is then 3.0 to 3.5 in place of 12 to 54, 3 expected (20 and 60 tracks, 24 runs of each).
 
     It fails when
@@ -56,7 +56,7 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     """
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 7
+    version: ClassVar[int] = 8
     options_model = SmootherOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -95,7 +95,7 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
     """
 
     name: ClassVar[str] = "batch"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model = BatchOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -136,7 +136,7 @@ class WindowSmoother:
 
     def diagnostics(self) -> dict[str, float]:
         """Return the mean number of steps of a frame, and the largest number of variables in the prior."""
-        frames = max(len(self.slam_map.positions_m.keys() - {FIELD}) - 1, 1)
+        frames = max(len(self.slam_map.positions_m.keys() - {COMMON}) - 1, 1)
         return {
             "iterations_per_frame": self.iterations / frames,
             "prior_variables": float(self.widest_prior),
@@ -212,8 +212,8 @@ class WindowSmoother:
         if self.first_is_free:
             self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
         self.prior = self.slam_map.errors.prior(self.prior)
-        if self.slam_map.errors.field_m:
-            self.slam_map.positions_m[FIELD] = np.zeros(3)
+        if self.slam_map.errors.common_m:
+            self.slam_map.positions_m[COMMON] = np.zeros(3)
         return estimate
 
     def _problem(self, tracks: list[int]) -> Adjustment:
@@ -237,7 +237,7 @@ class WindowSmoother:
             prior=prior,
             frozen=frozen,
         )
-        return errors.extended(problem, self.views, (tracks, self.slam_map.state((), tracks).points_m))
+        return errors.extended(problem, self.views, tracks)
 
     def _marginalise(self, adjusted: AdjustedWindow) -> None:
         """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
@@ -311,7 +311,7 @@ def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> Q
     refused; then the normal matrix would be singular. The difference from the first view is constrained, not the
     landmark's position, so that a common translation stays free.
     """
-    if not len(prior.views) or prior.views[0] == FIELD or not new.any():
+    if not len(prior.views) or prior.views[0] == COMMON or not new.any():
         return prior
     weight = 1.0 / (_WEAK_RATIO * depth_m) ** 2
     information, view = prior.information.copy(), np.arange(3)

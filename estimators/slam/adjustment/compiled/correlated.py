@@ -70,8 +70,8 @@ def _add_landmark(
                     WJ[i, row, axis] += weight[i, k] * J[k, row, axis]
                     WF[i, row, axis] += weight[i, k] * F[k, row, axis]
         total += r[i, 0] * Wr[i, 0] + r[i, 1] * Wr[i, 1]
-    field = len(problem.free_views) - 1  # the last view stands for the field, if there is one
-    moves, field_slot = len(problem.seen_moved) > 0, ordering.view_slot[field]
+    common = len(problem.free_views) - 1  # the last view stands for the common errors, if there are any
+    moves, common_slot = len(problem.seen_moved) > 0, ordering.view_slot[common]
     for i in range(count):
         view = problem.seen_view[first + i]
         slot, cell = ordering.view_slot[view], view - ordering.offset[g]
@@ -86,15 +86,15 @@ def _add_landmark(
                 if b >= a:
                     by_point[g, _entry(a, b) * LANES + lane] += block
             if moves:
-                gradient[field_slot, a] += F[i, 0, a] * Wr[i, 0] + F[i, 1, a] * Wr[i, 1]
+                gradient[common_slot, a] += F[i, 0, a] * Wr[i, 0] + F[i, 1, a] * Wr[i, 1]
                 for b in range(3):
                     block = F[i, 0, a] * WJ[i, 0, b] + F[i, 1, a] * WJ[i, 1, b]
-                    terms[field - ordering.offset[g], (3 * a + b) * LANES + lane] -= block
+                    terms[common - ordering.offset[g], (3 * a + b) * LANES + lane] -= block
                     block = F[i, 0, a] * WF[i, 0, b] + F[i, 1, a] * WF[i, 1, b]
-                    add_entry(kept, ordering.shape, field_slot, a, field_slot, b, block)
+                    add_entry(kept, ordering.shape, common_slot, a, common_slot, b, block)
                     if slot >= 0:
                         block = J[i, 0, a] * WF[i, 0, b] + J[i, 1, a] * WF[i, 1, b]
-                        add_entry(kept, ordering.shape, slot, a, field_slot, b, -block)
+                        add_entry(kept, ordering.shape, slot, a, common_slot, b, -block)
         for k in range(i, count):
             other = ordering.view_slot[problem.seen_view[first + k]]
             if slot >= 0 and other >= 0:
@@ -109,25 +109,19 @@ def _add_landmark(
 def _residuals(
     problem: FlatProblem, at: Places, first: int, end: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-    """Return derivatives (m, 2, 3) of pixels by landmark and by field, and predicted minus measured (m, 2), px.
+    """Return derivatives (m, 2, 3) of pixels by landmark and by common errors, and residuals (m, 2), px.
 
-    The last value is False if the landmark is behind a camera. A track follows a point that the field has moved by
-    ``seen_moved`` times the field.
+    The last value is False if the landmark is behind a camera. A pixel is off by ``seen_moved`` times the common ones.
     """
     positions, points, frozen_positions, frozen_points = at
     fx, fy, cx, cy = problem.pinhole
     J, F, r = np.empty((end - first, 2, 3)), np.zeros((end - first, 2, 3)), np.empty((end - first, 2))
-    line, base, field, moves = np.empty(3), np.empty(3), positions[-1], len(problem.seen_moved) > 0
+    line, base, common, moves = np.empty(3), np.empty(3), positions[-1], len(problem.seen_moved) > 0
     for i in range(end - first):
         view, j = problem.seen_view[first + i], problem.seen_point[first]
         for axis in range(3):
             line[axis] = points[j, axis] - positions[view, axis]
             base[axis] = frozen_points[j, axis] - frozen_positions[view, axis]
-            if moves:
-                moved = problem.seen_moved[first + i, axis]
-                shift = moved[0] * field[0] + moved[1] * field[1] + moved[2] * field[2]
-                line[axis] += shift
-                base[axis] += shift
         R = problem.attitudes[view]
         depth = R[2, 0] * line[0] + R[2, 1] * line[1] + R[2, 2] * line[2]
         if not depth > 0.0:
@@ -145,8 +139,8 @@ def _residuals(
         if moves:
             for row in range(2):
                 for axis in range(3):
-                    for k in range(3):
-                        F[i, row, axis] += J[i, row, k] * problem.seen_moved[first + i, k, axis]
+                    F[i, row, axis] = problem.seen_moved[first + i, row, axis]
+                    r[i, row] += F[i, row, axis] * common[axis]
     return J, F, r, True
 
 

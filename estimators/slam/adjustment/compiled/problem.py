@@ -208,7 +208,7 @@ def _grouped(
         for k in range(len(view)):
             opens[point[k]] = min(opens[point[k]], view[k])
             closes[point[k]] = max(closes[point[k]], view[k])
-            # The field moves all landmarks.
+            # Common errors move all pixels.
             if len(problem.seen_moved) > 0:
                 closes[point[k]] = views - 1
     # A group has landmarks of one kind only.
