@@ -46,6 +46,7 @@ from boresight.scenarios.reading import CONTENT_FAULTS
 _IMAGES = {"compare-navcam67p": "67P, 60 images"}
 _SHOWN, _MOST_PERCENT = 3, 99.5
 _TRACKS, _SIMULATED = "vesta-real-slam", "vesta-simulated-slam"
+_ERRORS = "white", "fit-1-32", "fit-33-65", "1-32-by-33-65", "33-65-by-1-32"
 SCORES = Path("figures/craters-real/scores.csv")
 _GAP, _CELLS, _LEAST_TRACKS = 4, 10, 30
 _RECALL = (
@@ -62,8 +63,8 @@ def _rows(found: Mapping[str, FinishedRun]) -> Iterator[dict[str, str]]:
             yield from reality_rows(seen, (run, real_images), (run, rendered))
     if _TRACKS in found and _SIMULATED in found:
         real, simulated = found[_TRACKS].data, found[_SIMULATED].data
-        scenarios = levels_of(real, {})
-        for errors in ("white", "fit-1-32", "fit-33-65"):
+        for errors in _ERRORS:
+            scenarios = levels_of(real, {"frames": errors.partition("-by-")[0] if "-by-" in errors else "all"})
             for levels, scenario in levels_of(simulated, {"errors": errors}).items():
                 if levels not in scenarios:
                     continue
