@@ -36,7 +36,7 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     The usual choice for tracks along an orbit: small errors, a covariance that describes them, and cost that does not
     grow. Errors that add up along tracks are modelled if they are stated (``walk_px``, ``contraction`` and ``drift_px``
     of ``sequence.knowledge``): on ``vesta-simulated-tracks`` with the errors of real tracks and a range every 10 frames
-    the mean NEES is then 3.0 to 3.5 in place of 12 to 54, 3 expected (20 and 60 tracks, 24 runs of each).
+    the mean NEES is then 2.5 and 2.1 in place of 18 and 61, 3 expected (20 and 60 tracks, 12 runs of each).
 
     It fails when
     -------------
