@@ -11,20 +11,11 @@ from numpy.typing import NDArray
 
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.papers.page import FinishedRun, Paper, PaperFigure
+from boresight.reports.figures.followed import revolution_figure, revolution_series, start_figure, trace_figure
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from boresight.reports.kinds.designs import design_grids
-from boresight.reports.kinds.sequence import (
-    ratio_grids,
-    revolution_figure,
-    revolution_series,
-    sequence_grid,
-    sign_grids,
-    start_figure,
-    trace_figure,
-    vision_grid,
-    without_pooled,
-)
+from boresight.reports.kinds.sequence import ratio_grids, sequence_grid, sign_grids, vision_grid, without_pooled
 from boresight.reports.schema.grid import Grid
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario

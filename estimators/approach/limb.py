@@ -13,7 +13,15 @@ from boresight.estimators.approach.body import BODY_SHARE, LitBody, find_body, l
 from boresight.estimators.approach.ellipsoid import Ellipsoid
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
-from boresight.estimators.approach.profile import ACROSS_PX, DEPTHS_PX, blurred, fit_limb, sampled, second_law
+from boresight.estimators.approach.profile import (
+    ACROSS_PX,
+    DEPTHS_PX,
+    blurred,
+    fit_limb,
+    outermost_rise,
+    sampled,
+    second_law,
+)
 from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch
 from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances
@@ -288,7 +296,7 @@ class LimbEstimator:
         radius_px, rays = np.arange(0.0, reach_px, step_px), scene.rays[limb.ray]
         samples = sampled(scene.body.patch, centre_px + rays[:, None] * radius_px[:, None])
         seen = np.full(scene.rays.shape, np.nan)
-        seen[limb.ray] = centre_px + step_px * _outermost_rise(samples, scene.body.floor)[:, None] * rays
+        seen[limb.ray] = centre_px + step_px * outermost_rise(samples, scene.body.floor)[:, None] * rays
         sound = np.isfinite(seen).all(axis=1) & camera.contains(seen, _BORDER_PX)
         limb = limb[sound[limb.ray]]
         if len(limb.ray) < self._options.points_min:
@@ -323,7 +331,7 @@ class LimbEstimator:
             reach_px = max(reach_px, ACROSS_PX[-1])
             across_px = np.linspace(-reach_px, reach_px, int(min(4.0 * reach_px + 1.0, _MOST_SAMPLES)))
             samples = sampled(scene.body.patch, limb.uv_px[:, None] + across_px[:, None] * limb.normals[:, None])
-            rise = _outermost_rise(samples, scene.body.floor)
+            rise = outermost_rise(samples, scene.body.floor)
             residual_px = across_px[0] + rise * (across_px[1] - across_px[0])
             sound = camera.contains(limb.uv_px + residual_px[:, None] * limb.normals, _BORDER_PX) & np.isfinite(rise)
             limb, residual_px = limb[sound], residual_px[sound]
@@ -357,7 +365,7 @@ class LimbEstimator:
             samples = sampled(scene.body.patch, limb.uv_px[:, None] + ACROSS_PX[:, None] * limb.normals[:, None])
             outside = samples[:, -2:].mean(axis=1, keepdims=True)
             samples = samples - np.where(outside < scene.body.floor, outside, 0.0)  # else it is the body again
-            rise = _outermost_rise(samples, scene.body.floor)
+            rise = outermost_rise(samples, scene.body.floor)
             start_px = np.interp(rise, np.arange(len(ACROSS_PX)), ACROSS_PX)
             if step == 0:
                 light = self._light(scene, pose, centre_px, limb)
@@ -397,24 +405,6 @@ def _moved_px(limb: LimbPoints, before: Pose, after: Pose) -> float:
 def _ray_count(size_px: float) -> int:
     """Return the number of rays for a body of a diameter in the image."""
     return int(np.clip(np.pi * size_px / _SPACING_PX, _LEAST_RAYS, _MOST_RAYS))
-
-
-def _outermost_rise(samples: FloatArray, floor: float) -> FloatArray:
-    """Index (n,), between samples, at which profiles (n, m) rise from outside to half of the brightness within; or NaN.
-
-    The brightness within is the greatest of the four samples from the outermost one above ``floor`` inwards.
-    """
-    n, m = samples.shape
-    above = samples > floor
-    outer = m - 1 - np.argmax(above[:, ::-1], axis=1)
-    within = np.maximum(outer[:, None] - np.arange(6), 0)
-    half = 0.5 * np.take_along_axis(samples, within, axis=1).max(axis=1)
-    over = (samples >= half[:, None]) & (np.arange(m) <= outer[:, None])
-    last = m - 1 - np.argmax(over[:, ::-1], axis=1)
-    row, after = np.arange(n), np.minimum(last + 1, m - 1)
-    here, there = samples[row, last], samples[row, after]
-    found = last + (here - half) / np.where(here > there, here - there, 1.0)
-    return np.where(above.any(axis=1) & (last < m - 1) & (here > there), found, np.nan)
 
 
 def _step(pose: Pose, frame: Frame, by_position: FloatArray, residual_px: FloatArray) -> tuple[Pose, FloatArray]:

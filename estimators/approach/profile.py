@@ -111,3 +111,22 @@ def _fit(
             gain[row, 1] = min(max(b + second_gain, -_MOST_GAIN), _MOST_GAIN)
             place[row] = min(max(place[row] + min(max(moved, -1.0), 1.0), -_REACH_PX), _REACH_PX)
     return place, gain
+
+
+def outermost_rise(samples: FloatArray, floor: float) -> FloatArray:
+    """Return where profiles (n, m) rise from outside to half of the brightness within: index (n,) of samples, or NaN.
+
+    It is between samples. The brightness within is the greatest of the six samples from the outermost one above
+    ``floor`` inwards.
+    """
+    n, m = samples.shape
+    above = samples > floor
+    outer = m - 1 - np.argmax(above[:, ::-1], axis=1)
+    within = np.maximum(outer[:, None] - np.arange(6), 0)
+    half = 0.5 * np.take_along_axis(samples, within, axis=1).max(axis=1)
+    over = (samples >= half[:, None]) & (np.arange(m) <= outer[:, None])
+    last = m - 1 - np.argmax(over[:, ::-1], axis=1)
+    row, after = np.arange(n), np.minimum(last + 1, m - 1)
+    here, there = samples[row, last], samples[row, after]
+    found = last + (here - half) / np.where(here > there, here - there, 1.0)
+    return np.where(above.any(axis=1) & (last < m - 1) & (here > there), found, np.nan)

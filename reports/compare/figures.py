@@ -19,7 +19,7 @@ from boresight.reports.figures.pose import draw_cumulative_errors
 from boresight.reports.figures.style import GREY, Points, finish, grid_figure, mark_decades, styled
 from boresight.reports.run.data import TRIAL_KEY
 from boresight.reports.schema.column import BORESIGHT, LATERAL, Measure
-from boresight.reports.schema.kinds import DETECTION, MATCHING
+from boresight.reports.schema.craters import DETECTION, MATCHING
 from boresight.reports.schema.records import CONTROL, as_title
 from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import normalised_label

@@ -21,14 +21,8 @@ from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of, value_at
 from boresight.reports.run.outcomes import revolution_ends, succeeded
 from boresight.reports.schema.column import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS, POSE_METRICS, SIGHT, Measure
-from boresight.reports.schema.kinds import (
-    CENTRE_ERROR,
-    COMMON_CENTRE_ERROR,
-    MISSED,
-    ORBIT_COLUMNS,
-    SEQUENCE_COLUMNS,
-    WRONG,
-)
+from boresight.reports.schema.craters import CENTRE_ERROR, COMMON_CENTRE_ERROR, MISSED, WRONG
+from boresight.reports.schema.kinds import ORBIT_COLUMNS, SEQUENCE_COLUMNS
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.schema.tables import AFTER_REVOLUTIONS, kind_schema, measure_of
 from boresight.scenarios.errors import BoresightError

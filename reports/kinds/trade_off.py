@@ -23,8 +23,8 @@ from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.schema.column import FRESH_IMAGE, POSE_COLUMNS, STORED_IMAGE
+from boresight.reports.schema.craters import CENTRE_ERROR, MISSED
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
-from boresight.reports.schema.kinds import CENTRE_ERROR, MISSED
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.schema.tables import kind_schema, measure_of
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of

@@ -28,7 +28,8 @@ from boresight.scenarios.sequences.trajectory import (
     draw_unmodelled_m_s2,
     nominal_trajectory,
 )
-from boresight.scenarios.spec.sequence import SequenceSpec, TrackErrorsSpec, VisionSpec
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.vision import TrackErrorsSpec, VisionSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)

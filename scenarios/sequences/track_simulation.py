@@ -12,7 +12,7 @@ from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, angle_between
 from boresight.scenarios.sequences.ground import LandmarkGround, SphereGround
-from boresight.scenarios.spec.sequence import TrackErrorsSpec, VisionSpec
+from boresight.scenarios.spec.vision import TrackErrorsSpec, VisionSpec
 
 _PROBES = 16384  # points spread over a mesh
 _PROBED_FRAMES = 36  # of an orbit, at most twice as many

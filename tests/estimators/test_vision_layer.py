@@ -28,7 +28,7 @@ from boresight.estimators.slam.vision.point_trackers import (
 )
 from boresight.estimators.slam.vision.tracker import Tracker
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.spec.sequence import ImageVisionSpec
+from boresight.scenarios.spec.vision import ImageVisionSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
 LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])

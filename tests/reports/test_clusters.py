@@ -6,14 +6,9 @@ from scipy.stats import binomtest, bootstrap, t
 from stored_runs import find
 from terminal_text import terminal_lines
 
+from boresight.reports.figures.followed import revolution_figure, revolution_series
 from boresight.reports.kinds.design_data import DesignData, Outcome
-from boresight.reports.kinds.sequence import (
-    ratio_records,
-    revolution_figure,
-    revolution_series,
-    sequence_measures,
-    vision_records,
-)
+from boresight.reports.kinds.sequence import ratio_records, sequence_measures, vision_records
 from boresight.reports.pages.build import write_report
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run

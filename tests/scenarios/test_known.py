@@ -11,7 +11,8 @@ from boresight.scenarios.load import load_scenario, scenario_names
 from boresight.scenarios.spec.onboard import OnboardSpec
 from boresight.scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
-from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
+from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec
+from boresight.scenarios.spec.vision import VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.
 WRONG = {

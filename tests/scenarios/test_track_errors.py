@@ -14,7 +14,7 @@ from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.load import canonical_json, load_scenario
 from boresight.scenarios.sequences import SphereGround, draw_sequence
 from boresight.scenarios.sequences.track_simulation import SimulatedTracks, accumulated_errors_px, noise
-from boresight.scenarios.spec.sequence import TrackErrorsSpec
+from boresight.scenarios.spec.vision import TrackErrorsSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 GROUND = SphereGround(190.0)

@@ -23,8 +23,8 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.detection.classic import CraterClassic
 from boresight.reports.compare.trials import missed_or_wrong
+from boresight.reports.figures.crater_examples import draw_example, ellipses_of, example_figure, stages_figure
 from boresight.reports.figures.named import NamedFigure
-from boresight.reports.kinds.crater_detection import draw_example, ellipses_of, example_figure, stages_figure
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run
 from boresight.scenarios.craters.simulated import NO_CRATER

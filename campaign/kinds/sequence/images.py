@@ -37,7 +37,8 @@ from boresight.scenarios.sequences import (
     onboard_sequence,
 )
 from boresight.scenarios.sequences.track_table import WRONG_PX
-from boresight.scenarios.spec.sequence import ImageVisionSpec, SequenceSpec
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.vision import ImageVisionSpec
 
 REPEATED_PX = 2.0
 _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is met within this

@@ -27,7 +27,7 @@ from boresight.estimators.slam.vision.point_trackers import (
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Prediction
-from boresight.scenarios.spec.sequence import ImageVisionSpec
+from boresight.scenarios.spec.vision import ImageVisionSpec
 
 _LEAST_APART_PX = 3.0
 """Least distance of a new track from all others: nearer ones would be the same feature."""
