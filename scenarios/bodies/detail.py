@@ -21,11 +21,11 @@ from boresight.scenarios.bodies.topology import (
     smoothed,
     smoothstep,
     tangent_axes,
-    unit,
     vertex_normals,
 )
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import unit
 from boresight.scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, SiteSpec
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.noise import Band, fractal_field
 from boresight.scenarios.bodies.readers.pds import cube_lattice, cube_quads, weld_seams
-from boresight.scenarios.bodies.topology import unit, vertex_normals
+from boresight.scenarios.bodies.topology import vertex_normals
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import unit
 from boresight.scenarios.spec.body import EMBEDDED_NAMES
 
 EMBEDDED_VERSION = 1

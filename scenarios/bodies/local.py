@@ -17,11 +17,11 @@ from boresight.scenarios.bodies.topology import (
     refine_where,
     smoothstep,
     tangent_axes,
-    unit,
     vertex_normals,
 )
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import unit
 from boresight.scenarios.spec.body import MOST_FACETS, LocalSpec
 
 LOCAL_VERSION = 1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.geometry.mesh import unit
 
 IntArray = NDArray[np.integer]
 
@@ -62,13 +63,6 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     corners = np.ascontiguousarray(faces.T).ravel()
     # bincount adds in the order of the faces: the same sums on every machine.
     return unit(np.stack([np.bincount(corners, np.tile(column, 3), len(vertices)) for column in area.T], axis=1))
-
-
-def unit(vectors: FloatArray) -> FloatArray:
-    """Vectors (..., 3) scaled to length 1; a zero vector stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
-    return scaled
 
 
 def smoothstep(share: FloatArray) -> FloatArray:

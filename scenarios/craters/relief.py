@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.noise import Band
-from boresight.scenarios.bodies.topology import tangent_axes, unit
+from boresight.scenarios.bodies.topology import tangent_axes
 from boresight.scenarios.craters.kernels import add_crater, add_octave, rim_equations
 from boresight.scenarios.craters.tiles import Tiling
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import unit
 from boresight.scenarios.spec.body import RoughnessSpec
 from boresight.scenarios.spec.craters import CratersSpec
 

@@ -21,7 +21,6 @@ from boresight.scenarios.bodies.topology import (
     limit,
     refine,
     smoothed,
-    unit,
     vertex_normals,
 )
 from boresight.scenarios.cache import Cache, default_cache
@@ -30,6 +29,7 @@ from boresight.scenarios.craters.relief import Craters, add_roughness, crater_re
 from boresight.scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
 from boresight.scenarios.craters.truth import Rims, find_rims
 from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry.mesh import unit
 from boresight.scenarios.reading import installed_memory_bytes
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.craters import CratersSpec

@@ -26,6 +26,13 @@ def sealed(array: NDArray[_T]) -> NDArray[_T]:
     return np.frombuffer(array.tobytes(order), array.dtype).reshape(array.shape, order=order)
 
 
+def unit(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) scaled to length 1; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    return scaled
+
+
 def by_block(value: Callable[[slice], FloatArray], out: NDArray[_T]) -> NDArray[_T]:
     """Fill an array with the values of its rows, block by block: of millions of faces, temporaries would be larger."""
     for start in range(0, len(out), _ROWS_AT_ONCE):
@@ -87,10 +94,7 @@ class TriangleMesh:
 
     def normals_of(self, faces: NDArray[np.integer] | slice) -> FloatArray:
         """(n, 3) the normals of some faces by their numbers, without those of the others."""
-        vectors = self._area_vectors(faces)
-        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-        unit: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
-        return unit
+        return unit(self._area_vectors(faces))
 
     def _area_vectors(self, faces: NDArray[np.integer] | slice) -> FloatArray:
         first, second, third = np.moveaxis(self.vertices_m[self.faces[faces]], -2, 0)
