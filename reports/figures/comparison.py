@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import BboxBase
 from scipy.special import chdtr
 
 from boresight.reports.figures.style import (
@@ -39,6 +41,11 @@ _MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 _PANELS_A_ROW = 3
+
+_MARK_PT = 6.0
+_LABEL_PLACES = tuple((x, y * side) for y in (3.0, 11.0, 19.0, 27.0, 35.0) for side in (1.0, -1.0) for x in (5.0, -5.0))
+"""Where the label of a mark is put, in points from the mark: the first that covers nothing."""
+_MOST_LABELS = 100  # of a panel, which is full of them
 
 _TICKS = (0.01, 0.03, 0.1, 0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0)
 _FEW_TICKS = (0.01, 0.1, 1.0, 10.0, 100.0)
@@ -166,7 +173,48 @@ def draw_trade_off(
     finish(figure, title, credit_lines)
     handles = dict(zip(*reversed(places[0, 0].get_legend_handles_labels()), strict=True))
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(3, max(1, len(handles))))
+    if any(point.note for point in points):
+        figure.draw_without_rendering()  # which settles where the marks are
+        for row in places:
+            for axes in row:
+                _part_labels(axes, figure.dpi)
     return figure
+
+
+def _part_labels(axes: Axes, dpi: float) -> None:
+    """Move the labels of marks to where they cover neither marks nor labels, or as little of them as possible.
+
+    Where there are too many, they stay.
+    """
+    notes = [child for child in axes.get_children() if isinstance(child, Annotation)]
+    if len(notes) > _MOST_LABELS:
+        return
+    half = _MARK_PT / 2.0 * dpi / 72.0
+    drawn = [axes.transData.transform(bars[0].get_xydata()) for bars in axes.containers]
+    taken = [np.concatenate([mark - half, mark + half]) for marks in drawn for mark in marks]
+    # Those on the right first: the labels to the left of them keep clear of their marks.
+    for note in sorted(notes, key=lambda one: -one.xy[0]):
+        found: dict[tuple[float, float], float] = {}
+        for place in _LABEL_PLACES:
+            _put(note, place)
+            box = note.get_window_extent()
+            outside = box.width * box.height - _covered(box, [np.ravel(axes.bbox.extents)])
+            found[place] = outside + _covered(box, taken)
+            if found[place] <= 0.0:
+                break
+        _put(note, min(found, key=lambda place: found[place]))
+        taken.append(np.ravel(note.get_window_extent().extents))
+
+
+def _put(note: Annotation, place: tuple[float, float]) -> None:
+    note.set(position=place, ha="left" if place[0] > 0.0 else "right", va="bottom" if place[1] > 0.0 else "top")
+
+
+def _covered(box: BboxBase, others: Sequence[FloatArray]) -> float:
+    """Return the area that a box shares with others, (4,) left, lower, right and upper ends, px^2, summed."""
+    each = np.array(others)
+    shared = np.minimum(box.extents[2:], each[:, 2:]) - np.maximum(box.extents[:2], each[:, :2])
+    return float(np.maximum(shared, 0.0).prod(axis=1).sum())
 
 
 def _draw_traded(axes: Axes, point: Traded, name: str, cost: str, style: PlotStyle) -> None:
@@ -176,12 +224,14 @@ def _draw_traded(axes: Axes, point: Traded, name: str, cost: str, style: PlotSty
     known = error.low is not None and error.high is not None
     reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
     axes.errorbar(
-        [point.costs[cost]], [error.value], yerr=reach, color=style.colour, marker=style.marker, markersize=6,
+        [point.costs[cost]], [error.value], yerr=reach, color=style.colour, marker=style.marker, markersize=_MARK_PT,
         markerfacecolor="none" if point.off else style.colour, linestyle="none", capsize=3, label=point.estimator,
     )  # fmt: skip
     if point.note:
         at = (point.costs[cost], error.value)
-        axes.annotate(point.note, at, (5, 3), textcoords="offset points", fontsize=6.0, color=style.colour)
+        axes.annotate(
+            point.note, at, _LABEL_PLACES[0], textcoords="offset points", fontsize=6.0, color=style.colour
+        ).set_in_layout(False)
 
 
 @styled

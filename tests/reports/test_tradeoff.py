@@ -1,9 +1,11 @@
 """Accuracy beside its cost: sizes of data bases, times, failures, and the figure of them."""
 
 import json
+from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.transforms import Bbox
 from scipy.stats import binomtest
 from stored_runs import RunBuilder, find
 
@@ -249,3 +251,21 @@ def test_marks_lie_at_their_costs():
     assert [list(line.get_ydata()) for line in time.lines if line.get_label() == "prior"] == [[45.0, 45.0]]
     assert [c.lines[0].get_markerfacecolor() == "none" for c in time.containers] == [False, True], "off is open"
     assert [text.get_text() for text in time.texts] == ["near"]
+
+
+def test_labels_of_marks_that_lie_close_do_not_overlap():
+    """Nine in a tenth of a decade, some at one place, in all panels."""
+    errors = [{"position_error_m": Measured(4.0 + 0.1 * (i // 2), 3.0, 6.0)} for i in range(9)]
+    marks = [
+        Traded("lmaps", error, {"ms": 500.0 + 5.0 * i, "kB": 160.0}, note=f"{i}00, 30 deg")
+        for i, error in enumerate(errors)
+    ]
+    marks.append(Traded("limb", {"position_error_m": Measured(40.0, 30.0, 50.0)}, {"ms": 5.0, "kB": 10.0}))
+    figure = draw_trade_off(marks, {"position_error_m": "position error, m"}, {}, "T")
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert len(boxes) == 9
+        shared = (Bbox.intersection(a, b) for a, b in combinations(boxes, 2))
+        assert all(box is None or box.width * box.height < 1e-6 for box in shared)
+        assert all(box.x1 <= axes.bbox.x1 for box in boxes), "none is cut off at the right"
