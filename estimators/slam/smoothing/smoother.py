@@ -80,9 +80,9 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
 
     It fails when
     -------------
-    As ``fixed-lag``. Outliers are used as they are unless ``associations: consensus`` is set: of 20 descents by tracks of
-    images (``hayabusa2-descent-frames``) it ends 3 without and 19 with it. The time of a frame grows with the number of
-    frames.
+    As ``fixed-lag``. Outliers are used as they are unless ``associations: consensus`` is set: of 20 descents by tracks
+    of images (``hayabusa2-descent-frames``) it ends 3 without and 19 with it. The time of a frame grows with the number
+    of frames.
 
     Cost
     ----
