@@ -376,7 +376,7 @@ def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[tuple[V
     areas = np.cumsum(mesh.areas_m2)
     rows = np.searchsorted(areas, areas[-1] * (np.arange(_POINTS) + 0.5) / _POINTS)
     weights = rng.dirichlet(np.ones(3), _POINTS)  # uniform over a triangle
-    places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
+    places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_of(rows)), mesh.normals[rows]
     in_view, phases_rad = False, list[float]()
     seen = inside = dark = 0.0
     nearest_m = np.inf

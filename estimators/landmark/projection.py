@@ -83,19 +83,19 @@ def is_occluded(mesh: TriangleMesh, camera_position_body_m: FloatArray, vertices
     # suffice.
     facets = np.flatnonzero(_facing(mesh, camera_position_body_m))
     rays = mesh.vertices_m[vertices] - camera_position_body_m
-    which, ray = _near_pairs(mesh.corners_m[facets], camera_position_body_m, rays)
+    which, ray = _near_pairs(mesh.corners_of(facets), camera_position_body_m, rays)
     facet = facets[which]
     # A facet meets the line of sight to its own corner at that corner, t = 1 but for rounding.
     apart = (mesh.faces[facet] != vertices[ray, None]).all(axis=1)
     facet, ray = facet[apart], ray[apart]
-    blocking = _blocks(mesh.corners_m[facet], camera_position_body_m, rays[ray])
+    blocking = _blocks(mesh.corners_of(facet), camera_position_body_m, rays[ray])
     hidden[ray[blocking]] = True
     return hidden
 
 
 def _facing(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray:
     """(F,): facets whose outward normal points towards the camera."""
-    to_camera = camera_position_body_m - mesh.corners_m[:, 0]
+    to_camera = camera_position_body_m - mesh.vertices_m[mesh.faces[:, 0]]
     facing: BoolArray = np.einsum("fi,fi->f", mesh.area_vectors_m2, to_camera) > 0.0
     return facing
 

@@ -158,7 +158,7 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     near = np.asarray(surface.tree.query_ball_point(plane.centre_m, reach_m), dtype=np.int64)
     # Only facets seen from above: those of the far side and overhangs have no height over the plane.
     near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
-    corners = (mesh.corners_m[near] - plane.centre_m) @ plane.axes.T
+    corners = (mesh.corners_of(near) - plane.centre_m) @ plane.axes.T
     within = _largest(np.abs(corners[:, :, 2])) <= plane.half_m
     near, corners = (part[within] for part in (near, corners))
     grid = corners[:, :, :2] / plane.spacing_m + (plane.side - 1) / 2

@@ -77,6 +77,10 @@ class TriangleMesh:
         """(F, 3, 3) the three corners of each face; not kept, as they take more memory than all else of a mesh."""
         return self.vertices_m[self.faces]
 
+    def corners_of(self, faces: NDArray[np.integer]) -> FloatArray:
+        """(n, 3, 3) the corners of some faces by their numbers, without those of the others."""
+        return self.vertices_m[self.faces[faces]]
+
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
         """(F, 3) outward normals whose length is the face's area."""

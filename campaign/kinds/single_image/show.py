@@ -155,7 +155,7 @@ def overlay(database: LandmarkDatabase, camera: Camera, T_cam_body: Pose) -> Ove
 
 def _facing_edges(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> NDArray[np.float64]:
     """Return the ends (m, 2, 2) of the edges of facets that face the camera."""
-    to_camera = T_cam_body.camera_position_m - mesh.corners_m[:, 0]
+    to_camera = T_cam_body.camera_position_m - mesh.vertices_m[mesh.faces[:, 0]]
     facing = mesh.faces[np.einsum("fi,fi->f", mesh.normals, to_camera) > 0.0]
     edges = np.unique(np.sort(facing[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     ends: NDArray[np.float64] = camera.project(T_cam_body.transform(mesh.vertices_m))[edges]
