@@ -13,7 +13,7 @@ from boresight.estimators.contract import Assets
 from boresight.estimators.options import parse_options
 from boresight.scenarios.spec.base import SpecModel
 
-ALIGNMENT = Sighting("alignment", correlation_shift, correlation_weights)
+ALIGNMENT = Sighting("alignment", correlation_shift, correlation_weights, any_direction=True)
 
 
 class SilhouetteEstimator(SightEstimator):
@@ -41,7 +41,7 @@ class SilhouetteEstimator(SightEstimator):
     """
 
     name: ClassVar[str] = "silhouette"
-    version: ClassVar[int] = 8
+    version: ClassVar[int] = 9
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
@@ -80,11 +80,12 @@ class LambertCorrelation(SilhouetteEstimator):
     """
 
     name: ClassVar[str] = "centroid-phase"
+    version: ClassVar[int] = 8
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the axes of the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
         ellipsoid = Ellipsoid.of(mesh)
-        how = replace(ALIGNMENT, misfit_m=ellipsoid.misfit_m(mesh))
+        how = replace(ALIGNMENT, misfit_m=ellipsoid.misfit_m(mesh), any_direction=False)
         return cls(ellipsoid, mesh, ellipsoid.radius_m, parsed, how)

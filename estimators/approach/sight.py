@@ -46,12 +46,14 @@ class Sighting:
 
     ``misfit_m`` is the RMS distance of the rendered surface from the onboard shape. Of an ellipsoid it has no waves
     below the third degree. So the outline is moved along its radii by that distance, independently in six arcs.
+    ``any_direction`` says that what the derivatives by the pose leave is taken as large in every direction.
     """
 
     name: str
     shift: Shift
     weights: Weights
     misfit_m: float = 0.0
+    any_direction: bool = False
 
 
 def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop: AlignmentOptions) -> Estimate:
@@ -103,7 +105,9 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
         if view.diameter_px(last) < RENDERED_PX:
             covariance_px2 += _sampling(view, last, rendered, body, how)
         by_pose, left_px2 = _by_pose(view, last, body, how, frame.prior_covariance)
-    covariance_px2 += left_px2 + _calibration(observation, pose)
+    # Each error of the pose is tried alone. The largest errors of the shift are across what that leaves.
+    covariance_px2 += np.trace(left_px2) * np.eye(2) if how.any_direction else left_px2
+    covariance_px2 += _calibration(observation, pose)
     told["shift_sigma_px"] = float(np.sqrt(0.5 * np.trace(covariance_px2)))
     measured = by_pose[:, 3:] @ (pose.translation_m - prior.translation_m)
     fused = fuse(observation, measured, by_pose, covariance_px2)
