@@ -10,7 +10,8 @@ import pytest
 from boresight.estimators.approach.body import BodyView, LitBody
 from boresight.estimators.approach.centroid import CENTROID
 from boresight.estimators.approach.limb import LimbEstimator, LimbOptions
-from boresight.estimators.approach.sight import _by_pose
+from boresight.estimators.approach.matching import ALIGNMENT, SilhouetteEstimator
+from boresight.estimators.approach.sight import SightOptions, _by_pose
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -122,6 +123,19 @@ def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
     """Three pixels of body: where in its pixel the crescent is, the image does not tell."""
     seen = [observed(trial, size_px=3.5, phase_deg=(110.0, 140.0)) for trial in range(TRIALS)]
     assert mean_nees([(truth, seen_by, estimate(name, seen_by)) for truth, seen_by in seen]) < 1.6
+
+
+def test_the_silhouette_takes_what_errors_of_the_pose_leave_as_large_in_every_direction():
+    """What single errors leave lies along a line; those of all together move the outline across it as well."""
+    truth, seen = observed(0, size_px=100.0, range_sigma=0.05)
+    parts = Assets().mesh_renderer(BODY), BODY, BODY.radius_m, SightOptions()
+    narrow, wide = (
+        SilhouetteEstimator(*parts, replace(ALIGNMENT, any_direction=one)).estimate(seen, rng=np.random.default_rng(0))
+        for one in (False, True)
+    )
+    across = CAMERA.jacobian(truth.translation_m)
+    more_px2 = across @ (wide.covariance - narrow.covariance)[3:, 3:] @ across.T
+    assert np.linalg.eigvalsh(more_px2).min() > 1e-4
 
 
 def test_the_attitude_of_a_sphere_does_not_move_its_centroid():
