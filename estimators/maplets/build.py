@@ -160,7 +160,7 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
     corners = (mesh.corners_of(near) - plane.centre_m) @ plane.axes.T
     within = _largest(np.abs(corners[:, :, 2])) <= plane.half_m
-    near, corners = (part[within] for part in (near, corners))
+    near, corners = near[within], corners[within]
     grid = corners[:, :, :2] / plane.spacing_m + (plane.side - 1) / 2
     facet, node, weights = _covered_nodes(grid, plane.side)
     heights = np.einsum("nk,nk->n", weights, corners[facet, :, 2])

@@ -79,7 +79,8 @@ class TriangleMesh:
 
     def corners_of(self, faces: NDArray[np.integer]) -> FloatArray:
         """(n, 3, 3) the corners of some faces by their numbers, without those of the others."""
-        return self.vertices_m[self.faces[faces]]
+        corners: FloatArray = self.vertices_m[self.faces[faces]]
+        return corners
 
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
