@@ -53,6 +53,7 @@ _COUNTS = {
 _AXES_TOLERANCE = 1e-6  # the file of Bennu is within 1e-11; others may have fewer digits
 _SUN_TOLERANCE = 1e-3
 _MOST_BYTES = 1 << 24
+_OFF_SHARE, _OFF_RAD, _FEWEST = 0.05, 1e-4, 3  # residuals of SPC are a pixel or two
 _J2000 = datetime(2000, 1, 1, 12)
 _PIXELS_A_MM = 10.0  # of written files: SUM files divide the focal length in pixels by the pitch
 _WIDTH = 62
@@ -165,7 +166,8 @@ def read_spc(folder: Path) -> tuple[dict[str, FloatArray], dict[str, FloatArray]
     """Read a folder: tables of poses, in the order of time, and of sightings, as real tracks have them, and landmarks.
 
     Landmarks (T, 3) are in the body frame, m; NaN without LMK file. Those of one image are left out, and images without
-    others. Raise `BoresightError` if a file is wrong, two images have one epoch, or no landmark is in two images.
+    others. Raise `BoresightError` if a file is wrong, two images have one epoch, no landmark is in two images, or
+    landmarks are not where K and pose of an image put them.
     """
     files = list(spc_files(folder))
     images = [(read_sum_landmarks(path), path.name) for path in files if path.suffix.upper() == ".SUM"]
@@ -183,12 +185,30 @@ def read_spc(folder: Path) -> tuple[dict[str, FloatArray], dict[str, FloatArray]
     for path in files:
         if path.suffix.upper() == ".LMK" and path.stem in numbers:
             points[numbers[path.stem]] = read_lmk(path)
+    known = {name: point for name, point in zip(numbers, points, strict=True) if np.isfinite(point).all()}
+    for image, name in kept:
+        _check_sightings(image, f"{folder}: {name}", known)
     from scipy.spatial.transform import Rotation  # 0.1 s, which images do without
 
     places = np.array([image.T_cam_body.camera_position_m for image, _ in kept])
     attitudes = Rotation.from_matrix([image.T_cam_body.rotation for image, _ in kept]).as_quat(scalar_first=True)
     states = np.column_stack([[image.time_s for image, _ in kept], places, attitudes])
     return dict(zip(_STATE, states.T, strict=True)), dict(zip(_SIGHTING, rows.T, strict=True)), points
+
+
+def _check_sightings(image: SumLandmarks, where: str, landmarks: Mapping[str, FloatArray]) -> None:
+    """Refuse an image most of whose landmarks are elsewhere; single ones may be."""
+    off = list[float]()
+    for name in image.rays.keys() & landmarks.keys():
+        x, y, z = image.T_cam_body.transform(landmarks[name])
+        planned = np.array([x / z, y / z]) if z > 0.0 else np.full(2, np.inf)
+        most = max(_OFF_SHARE * float(np.linalg.norm(image.rays[name])), _OFF_RAD)
+        off.append(float(np.linalg.norm(image.rays[name] - planned)) / most)
+    if len(off) >= _FEWEST and not np.median(off) <= 1.0:
+        raise BoresightError(
+            f"{where}: half of its {len(off)} landmarks with LMK files are more than {100 * _OFF_SHARE:g} % of their"
+            " distance from the principal point off: check MMFL, K-MATRIX, pose and VLM"
+        )
 
 
 def _lines(path: Path, kind: str) -> list[str]:

@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 from slam_sequences import CAMERA
-from spc_folders import CENTRE, TURNED, lmk_text, name_of, sum_text, write_spc
+from spc_folders import CENTRE, PLAIN, TURNED, lmk_text, name_of, sum_text, write_spc
 from track_tables import make_world
 
 from boresight.campaign.imaging.real_images import image_files, images_digest, open_tracks
@@ -231,6 +231,27 @@ def test_folders_without_tracks_are_one_line(tmp_path):
         opened(scene, "sequence.tracks.spc=gone")
     with pytest.raises(BoresightError, match=r"10 frames from frame 0 on are more than the 9 of spc"):
         opened(write_spc(WORLD, tmp_path / "spc"), "sequence.tracks.frames=10")
+
+
+@pytest.mark.parametrize("matrix", [0.5 * PLAIN, PLAIN @ np.diag([1.0, -1.0, 0.0])], ids=["half", "mirrored"])
+def test_a_matrix_that_contradicts_the_landmarks_is_refused(tmp_path, matrix):
+    scene = write_spc(WORLD, tmp_path / "spc")
+    for path in (tmp_path / "spc" / "SUMFILES").iterdir():
+        old, new = ("".join(f"{value:16.10f}" for value in one.ravel()) for one in (PLAIN, matrix))
+        assert old in path.read_text()
+        path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(BoresightError, match=r"spc: W\d+.SUM: half of its \d+ landmarks .* check MMFL, K-MATRIX"):
+        opened(scene)
+
+
+def test_landmarks_of_another_body_are_refused(tmp_path):
+    scene = write_spc(WORLD, tmp_path / "spc")
+    for number, point in enumerate(WORLD.points_m):
+        path = tmp_path / "spc" / "LMKFILES" / f"{name_of(number)}.LMK"
+        if path.is_file():
+            path.write_text(lmk_text(name_of(number), (np.array([0.0, 0.0, 40.0]) + point) / 1e3, {}))
+    with pytest.raises(BoresightError, match=r"SUM: half of its \d+ landmarks .* pose and VLM"):
+        opened(scene)
 
 
 def test_parallax_is_wanted_of_landmarks_without_file_alone(tmp_path):
