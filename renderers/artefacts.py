@@ -72,7 +72,7 @@ class Motion:
         if length_px > _MOST_PX:
             raise BoresightError(
                 f"detector.motion: the image moves by {length_px:.0f} px in an exposure, above {_MOST_PX:g}: give lower"
-                " rates or a shorter exposure_s"
+                " rates, a law with bounds, or a shorter exposure_s"
             )
         return length_px
 

@@ -208,7 +208,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--seed", "seed (default: what the campaign says)", _NOT_NEGATIVE),
         _OVERRIDES, _EMBEDDED,
     ),
-    "figures": ("figures:figures_command", "draw every figure of a paper, and set every number beside ours",
+    "figures": ("figures:figures_command", "draw every figure of a paper, and compare every number with ours",
         _a("paper", "which paper, all of them, or reality: real data next to simulated ones",
            choices=(*PAGES, ALL_PAPERS)),
         _a("--runs", "where the runs are (default: runs)", _FILE, default=RUNS),
@@ -258,7 +258,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--out", "folder of the tables (default: sequences/SCENARIO in the data folder)", _FILE),
         _OVERRIDES,
     ),
-    "bench": ("bench:bench_command", "set our speed beside that of others, or time a campaign's stages",
+    "bench": ("bench:bench_command", "compare our speed with other software, or time a campaign's stages",
         _a("name", f"{', '.join(PEERS)}: ratios to peers, in one run (default: all); or a campaign from the list, or a"
            " YAML file, of which every stage is timed", nargs="?", default="all"),
         _a("--blocks", "blocks of trials of each scenario, windows, or rounds in turn (default: 4)",

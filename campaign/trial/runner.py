@@ -207,6 +207,8 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
                 {**key, "estimator": label, **failed, "database": self.database.get(label)} for label in self.methods
             ]
             return {"rows": rows}
+        except BoresightError as error:
+            raise BoresightError(f"trial {trial} of {self.scenario}: {error}") from error
         records: Records = {}
         add_records(records, self.of_draw(drawn), key)
         for label, method in self.methods.items():

@@ -158,13 +158,11 @@ def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
     parts, room = expected_bytes(mesh, spec), installed_memory_bytes()
     if sum(parts) <= room:
         return
-    remedy = f"raise craters.edge_m ({spec.edge_m:g}), with min_diameter_m four times as much, or take a smaller body"
-    if parts[0] > room:
-        remedy = f"take a smaller body: without any craters its tiles take {parts[0] / 1e9:.3g} GB"
     facets = expected_size(mesh, spec)[1]
     raise BoresightError(
         f"craters: a surface of {facets:.3g} facets on a body {2e-3 * mesh.radius_m:.3g} km across"
-        f" takes about {sum(parts) / 1e9:.3g} GB of memory, and this machine has {room / 1e9:.3g} GB: {remedy}"
+        f" takes about {sum(parts) / 1e9:.3g} GB of memory, and this machine has {room / 1e9:.3g} GB: raise"
+        f" craters.edge_m ({spec.edge_m:g}), with min_diameter_m four times as much, or take a smaller body"
     )
 
 
