@@ -229,7 +229,7 @@ class DetectorSpec(DrawnModel):
     offset_dn: float = Field(10.0, ge=0, description="Bias level")
     bits: int = Field(12, ge=1, le=16, description="Digital numbers run from 0 to 2**bits - 1")
     psf_wings: tuple[WingSpec, ...] = optional(
-        "Further Gaussians of the point spread function; psf_sigma_px has the rest of the light", (), min_length=1
+        "Further Gaussians of the point spread function; psf_sigma_px has the rest of the light", ()
     )
     stray_light: StrayLightSpec | None = optional("Light beside the image: a veil and a linear background")
     motion: MotionSpec | None = optional("Motion of the camera during the exposure; rolling shutter")
