@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,10 +55,10 @@ class UniformRotation:
 
 
 class FlatField(NamedTuple):
-    """A force field as arrays for the kernels; tables of V and W have the shape (2, ..., terms).
+    """A force field as arrays for the kernels; tables of V and W have the shape (2, terms, ...).
 
-    ``pull`` (2, 3, t1) and ``tide`` (2, 5, t2) are first and second derivatives of the potential, the latter to a lower
-    degree; ``parts`` (2, K, 3, t3) are the accelerations by each estimated coefficient. All are in units of
+    ``pull`` (2, t1, 3) and ``tide`` (2, t2, 5) are first and second derivatives of the potential, the latter to a lower
+    degree; ``parts`` (2, t3, 3 K) are the accelerations by each estimated coefficient. All are in units of
     ``unit`` = GM / R^2.
     """
 
@@ -120,12 +120,13 @@ class HarmonicField:
         # The gradient serves the variational equations alone, for which a lower degree suffices.
         whole, few = self.harmonics, _TIDE_DEGREE + 1
         coarse = Harmonics(whole.gm_m3_s2, whole.radius_m, whole.c[:few, :few], whole.s[:few, :few]).flat
+        slopes = [derivative(coarse, axis) for axis in range(2)]
         return FlatField(
             self.harmonics.gm_m3_s2 / self.harmonics.radius_m**2,
             self.harmonics.radius_m,
             _stacked(pull),
-            _stacked([derivative(derivative(coarse, i), j) for i, j in _PAIRS]),
-            self._parts(),
+            _stacked([derivative(slopes[i], j) for i, j in _PAIRS]),
+            _parts(self.coefficients, self.by_degree),
             np.ascontiguousarray(self.rotation.R_body_inertial, dtype=np.float64),
             float(self.rotation.rate_rad_s),
             np.array(self.light_m_s2, dtype=np.float64),
@@ -135,19 +136,7 @@ class HarmonicField:
     def work(self) -> FloatArray:
         """The work array of `accelerate` and `differentiate`."""
         # Long enough for V and W of the highest degree of the three tables.
-        return np.empty((2, max(self.flat.pull.shape[2], self.flat.tide.shape[2], self.flat.parts.shape[3])))
-
-    def _parts(self) -> FloatArray:
-        if not self.by_degree:
-            return np.zeros((2, 0, 3, 1))
-        scale = normalisation(self.by_degree)
-        found = []
-        for name, n, m in self.coefficients:
-            table: HarmonicTable = (np.zeros(term_count(self.by_degree)), np.zeros(term_count(self.by_degree)))
-            # One normalised coefficient of 1 is 1 / N of the unnormalised function.
-            table["cs".index(name)][term_index(n, m)] = 1.0 / scale[term_index(n, m)]
-            found.append(_stacked([derivative(table, axis) for axis in range(3)]))
-        return np.ascontiguousarray(np.stack(found, axis=1))
+        return np.empty((2, max(self.flat.pull.shape[1], self.flat.tide.shape[1], self.flat.parts.shape[1])))
 
     def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) in inertial axes."""
@@ -156,8 +145,22 @@ class HarmonicField:
         return out
 
 
+@lru_cache(maxsize=8)
+def _parts(coefficients: tuple[tuple[str, int, int], ...], degree: int) -> FloatArray:
+    """Return the accelerations by normalised coefficients, read-only: the same for all bodies."""
+    scale, found = normalisation(degree), []
+    for name, n, m in coefficients:
+        table: HarmonicTable = (np.zeros(term_count(degree)), np.zeros(term_count(degree)))
+        # One normalised coefficient of 1 is 1 / N of the unnormalised function.
+        table["cs".index(name)][term_index(n, m)] = 1.0 / scale[term_index(n, m)]
+        found += [derivative(table, axis) for axis in range(3)]
+    parts = _stacked(found) if found else np.zeros((2, 1, 0))
+    parts.setflags(write=False)
+    return parts
+
+
 def _stacked(tables: list[HarmonicTable]) -> FloatArray:
-    return np.ascontiguousarray(np.stack([np.stack(part) for part in zip(*tables, strict=True)]))
+    return np.ascontiguousarray(np.stack([np.stack(part, axis=1) for part in zip(*tables, strict=True)]))
 
 
 @inner
@@ -182,10 +185,9 @@ def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatA
     y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
     outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
-    in_body = np.zeros(3)
-    for axis in range(3):
-        # Equation (3.32) of Montenbruck and Gill, for one axis.
-        in_body[axis] = field.unit * _sum(field.pull[0, axis], field.pull[1, axis], work)
+    in_body = np.empty(3)
+    # Equation (3.32) of Montenbruck and Gill.
+    _sum(field.pull, work, field.unit, in_body)
     for j in range(3):
         # Back to inertial axes with the transpose; sunlight is constant there.
         out[j] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2] + field.light_m_s2[j]
@@ -206,9 +208,8 @@ def differentiate(
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
     outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
     second = np.empty(5)
-    for k in range(5):
-        # A second derivative has one more factor 1 / R.
-        second[k] = field.unit / field.radius_m * _sum(field.tide[0, k], field.tide[1, k], work)
+    # A second derivative has one more factor 1 / R.
+    _sum(field.tide, work, field.unit / field.radius_m, second)
     body = np.empty((3, 3))
     # xx, xy, xz, yy, yz; outside the body the trace is 0 (Laplace), so that zz = -xx - yy.
     body[0, 0], body[0, 1], body[0, 2] = second[0], second[1], second[2]
@@ -222,28 +223,29 @@ def differentiate(
                     # R^T G R: the tensor in inertial axes.
                     total += R[a, i] * body[a, b] * R[b, j]
             tide[i, j] = total
-    count = field.parts.shape[1]
-    in_body = np.empty(3)
-    # k = -1 is gravity as a whole, the derivative by the ratio of GM.
-    for k in range(-1, count):
-        for axis in range(3):
-            if k < 0:
-                in_body[axis] = field.unit * _sum(field.pull[0, axis], field.pull[1, axis], work)
-            else:
-                in_body[axis] = field.unit * _sum(field.parts[0, k, axis], field.parts[1, k, axis], work)
-        column = 0 if k < 0 else 2 + k
+    count = field.parts.shape[2] // 3
+    # Gravity as a whole is the derivative by the ratio of GM; then the coefficients.
+    in_body = np.empty(3 + 3 * count)
+    _sum(field.pull, work, field.unit, in_body[:3])
+    _sum(field.parts, work, field.unit, in_body[3:])
+    for k in range(1 + count):
+        column = 0 if k == 0 else 1 + k
+        own = in_body[3 * k : 3 * k + 3]
         for j in range(3):
-            by_parameters[j, column] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2]
+            by_parameters[j, column] = R[0, j] * own[0] + R[1, j] * own[1] + R[2, j] * own[2]
     for j in range(3):
         # The acceleration is proportional to the factor on solar pressure.
         by_parameters[j, 1] = field.light_m_s2[j]
 
 
 @inner
-def _sum(c: FloatArray, s: FloatArray, work: FloatArray) -> float:
-    """Sum the products of a table with V and W."""
-    total = 0.0
+def _sum(table: FloatArray, work: FloatArray, unit: float, out: FloatArray) -> None:
+    """Write ``unit`` times the sums of the products of a table (2, terms, n) with V and W to ``out`` (n,)."""
+    out[:] = 0.0
     # Tables are in the order of the degree: one of a lower degree uses the first terms of V and W.
-    for k in range(len(c)):
-        total += c[k] * work[0, k] + s[k] * work[1, k]
-    return total
+    for k in range(table.shape[1]):
+        v, w = work[0, k], work[1, k]
+        for i in range(len(out)):
+            out[i] += table[0, k, i] * v + table[1, k, i] * w
+    for i in range(len(out)):
+        out[i] *= unit

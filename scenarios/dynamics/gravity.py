@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
+from typing import TypeVar
 
 import numpy as np
 
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.dynamics import kernel
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry.mesh import TriangleMesh, solid_angles
@@ -96,6 +97,7 @@ class Polyhedron:
 
 _PLACES_AT_ONCE = 1 << 19
 
+_Index = TypeVar("_Index", int, IndexArray)
 HarmonicTable = tuple[FloatArray, FloatArray]
 """Coefficients of V and of W, (terms,) each, in the order of `term_index`."""
 
@@ -105,7 +107,7 @@ def term_count(degree: int) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
-def term_index(n: int, m: int) -> int:
+def term_index(n: _Index, m: _Index) -> _Index:
     """Return the index of the term of degree n and order m."""
     return n * (n + 1) // 2 + m
 
@@ -160,40 +162,26 @@ def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, 
 
 def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
     """Differentiate a sum of V and W by x, y or z (0, 1, 2), in units of 1 / R; the degree increases by one."""
+    # Equation (3.33): the derivatives of V_nm and of W_nm, each with its own factor.
     degree = int((np.sqrt(8.0 * len(table[0]) + 1.0) - 3.0) / 2.0 + 0.5)
     c, s = np.zeros((2, term_count(degree + 1)))
-    for n in range(degree + 1):
-        for m in range(n + 1):
-            _add_derivative(c, s, (n, m), (table[0][term_index(n, m)], table[1][term_index(n, m)]), axis)
-    return c, s
-
-
-def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: tuple[float, float], axis: int) -> None:
-    """Add the derivative of ``value[0] V_nm + value[1] W_nm`` to a table."""
-    (n, m), (of_v, of_w) = term, value
-    # Equation (3.33): the derivatives of V_nm and of W_nm, each with its own factor.
+    (n, m), (of_v, of_w) = np.tril_indices(degree + 1), table
     if axis == 2:
         k = term_index(n + 1, m)
-        c[k] -= (n - m + 1) * of_v
-        s[k] -= (n - m + 1) * of_w
-        return
-    up, down = term_index(n + 1, m + 1), term_index(n + 1, max(m - 1, 0))
+        c[k], s[k] = -(n - m + 1) * of_v, -(n - m + 1) * of_w
+        return c, s
     # Order 0 has no W, and no neighbour of order -1.
-    if m == 0:
-        (c if axis == 0 else s)[up] -= of_v
-        return
+    low, half, of_w = m > 0, np.where(m > 0, 0.5, 1.0), np.where(m > 0, of_w, 0.0)
+    up, down = term_index(n + 1, m + 1), term_index(n + 1, m - 1)[low]
     # (n - m + 2)! / (n - m)! = (n - m + 2)(n - m + 1).
-    half, fall = 0.5, 0.5 * (n - m + 2) * (n - m + 1)
-    if axis == 0:
-        c[up] -= half * of_v
-        s[up] -= half * of_w
-        c[down] += fall * of_v
-        s[down] += fall * of_w
-    else:
-        s[up] -= half * of_v
-        c[up] += half * of_w
-        s[down] -= fall * of_v
-        c[down] += fall * of_w
+    fall = (0.5 * (n - m + 2) * (n - m + 1))[low]
+    to_v, to_w = (c, s) if axis == 0 else (s, c)
+    sign = 1.0 if axis == 0 else -1.0
+    to_v[up] -= half * of_v
+    to_w[up] -= sign * half * of_w
+    to_v[down] += sign * fall * of_v[low]
+    to_w[down] += fall * of_w[low]
+    return c, s
 
 
 @dataclass(frozen=True, eq=False)

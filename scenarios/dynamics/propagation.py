@@ -195,14 +195,14 @@ def _integrate(
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate; return (T, 6, n) at the times and (P', 6, n) at the interval ends before the last time."""
     # State, derivatives by the initial state, by GM and solar pressure, by the coefficients, and by the push.
-    columns = 1 + 6 + 2 + field.parts.shape[1] + 3
+    columns = 1 + 6 + 2 + field.parts.shape[2] // 3 + 3
     y = np.zeros((6, columns))
     for i in range(6):
         # The state transition matrix starts as the identity, all other derivatives as 0.
         y[i, 0], y[i, 1 + i] = state[i], 1.0
     seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
     slopes = np.empty((len(b), 6, columns))
-    work = np.empty((2, max(field.pull.shape[2], field.tide.shape[2], field.parts.shape[3])))
+    work = np.empty((2, max(field.pull.shape[1], field.tide.shape[1], field.parts.shape[1])))
     now, row = 0.0, 0
     for p in range(len(pushes)):
         last = p == len(pushes) - 1
@@ -284,7 +284,7 @@ def _time_derivative(
     """Write the time derivative of state and partials to ``out``; return False inside the reference radius."""
     if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
         return False
-    columns, count = y.shape[1], 2 + field.parts.shape[1]
+    columns, count = y.shape[1], 2 + field.parts.shape[2] // 3
     tide, by, position = np.empty((3, 3)), np.empty((3, count)), np.empty(3)
     for i in range(3):
         position[i] = y[i, 0]
