@@ -397,7 +397,8 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
 def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
     """Convert a solution to the units of the contract and propagate it to the wanted times."""
     x = fit.solution.x
-    covariance = fit.arc.model.considered(x, fit.adjusted.covariance(layout.size))
+    on_arc = fit.arc.model.propagate(x)
+    covariance = fit.arc.model.considered(x, on_arc, fit.adjusted.covariance(layout.size))
     flown = propagate_orbit(layout, x, data.wanted_s)
     motion = state_derivatives(layout, x, flown, slice(0, 3))
     scale = layout.state_sigma
@@ -419,7 +420,7 @@ def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
         points_body_m=fit.solution.points[fit.arc.landmarks],
         residuals_px=residuals,
         used=used,
-        centre=fit.arc.model.last_centre(x, covariance),
+        centre=fit.arc.model.last_centre(x, on_arc, covariance),
     )
 
 

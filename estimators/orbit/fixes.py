@@ -9,10 +9,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from boresight.estimators.contract import Estimate
-from boresight.estimators.orbit.batch_filter import BatchFilter
-from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.estimators.orbit.batch_filter import BatchFilter, BatchState, DataArc
+from boresight.estimators.orbit.contract import CentreInCamera, OrbitEstimate
+from boresight.estimators.orbit.model import MeasurementModel
+from boresight.estimators.orbit.parameters import ParameterLayout
 from boresight.estimators.prior import shares_of_prior
 from boresight.scenarios.arrays import FloatArray, Image, IndexArray
+from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.geometry.pose import cross_matrix
 from boresight.scenarios.observation import Frame, Observation
@@ -47,6 +50,26 @@ class ApproachTask:
         landmarks = LandmarkFile(none, np.zeros((0, 3)), np.zeros(0))
         return OrbitData(self.knowledge, pictures, landmarks, self.radiometry, wanted_s, fixes)
 
+    def frame(self, number: int, image: Image, centre: CentreInCamera) -> Frame:
+        """Add the prior to an image, whose centre of mass the filter predicts.
+
+        The position's error is that of all unknowns of the filter together, and of the image's attitude, which moves
+        the body in the image. The rotation has the errors of attitude, mounting and spin. The prior has no covariance
+        of the position with the rotation.
+        """
+        known, time_s = self.knowledge, float(self.times_s[number])
+        attitude = centre.mounting @ self.R_cam_inertial[number]
+        rotation = attitude @ known.field.rotation.at(np.array([time_s]))[0].T
+        across = cross_matrix(centre.position_m)
+        covariance = np.zeros((6, 6))
+        spun_rad = known.spin_sigma * known.field.rotation.rate_rad_s * time_s
+        covariance[:3, :3] = (known.attitude_sigma_rad**2 + known.pole_sigma_rad**2 + spun_rad**2) * np.eye(3)
+        covariance[:3, :3] += centre.mounting_covariance_rad2
+        covariance[3:, 3:] = centre.covariance_m2 + known.attitude_sigma_rad**2 * across @ across.T
+        covariance = 0.5 * (covariance + covariance.T)
+        prior = Pose(rotation, centre.position_m - rotation @ self.centre_of_mass_m)
+        return Frame(image, attitude @ self.sun_dir, prior, covariance, time_s)
+
 
 class ApproachNavigator:
     """Determines the orbit image by image: the orbit by the images before is the prior of the next one.
@@ -65,28 +88,13 @@ class ApproachNavigator:
     def frame(self, number: int, image: Image) -> Frame | None:
         """Add the prior to an image; None if the filter has no orbit that it accepts.
 
-        The mounting and the focal length are those that the fixes before tell. The position's error is that of all
-        unknowns of the filter together, and of the image's attitude, which moves the body in the image. The rotation
-        has the errors of attitude, mounting and spin. The prior has no covariance of the position with the rotation.
+        The mounting and the focal length are those that the fixes before tell.
         """
-        task, known = self._task, self._task.knowledge
-        time_s = float(task.times_s[number])
+        time_s = float(self._task.times_s[number])
         # Not at the times after this one: while the orbit is uncertain, it may lead into the body later.
         found = self._accepted(number + 1, np.unique([0.0, time_s]))
         centre = None if found.orbit is None else found.orbit.centre
-        if found.status != "ok" or centre is None:
-            return None
-        attitude = centre.mounting @ task.R_cam_inertial[number]
-        rotation = attitude @ known.field.rotation.at(np.array([time_s]))[0].T
-        across = cross_matrix(centre.position_m)
-        covariance = np.zeros((6, 6))
-        spun_rad = known.spin_sigma * known.field.rotation.rate_rad_s * time_s
-        covariance[:3, :3] = (known.attitude_sigma_rad**2 + known.pole_sigma_rad**2 + spun_rad**2) * np.eye(3)
-        covariance[:3, :3] += centre.mounting_covariance_rad2
-        covariance[3:, 3:] = centre.covariance_m2 + known.attitude_sigma_rad**2 * across @ across.T
-        covariance = 0.5 * (covariance + covariance.T)
-        prior = Pose(rotation, centre.position_m - rotation @ task.centre_of_mass_m)
-        return Frame(image, attitude @ task.sun_dir, prior, covariance, time_s)
+        return None if found.status != "ok" or centre is None else self._task.frame(number, image, centre)
 
     def add(self, number: int, frame: Frame, estimate: Estimate) -> None:
         """Take what an estimate adds to the prior of an image as a fix; where the two contradict each other, drop one.
@@ -151,11 +159,16 @@ class ApproachNavigator:
         return found
 
     def _collected(self) -> PositionFixes:
-        rows: IndexArray = np.array([number for number, _, _ in self._fixes], dtype=np.int64)
-        positions = np.array([one for _, one, _ in self._fixes], dtype=np.float64).reshape(-1, 3)
-        information = np.array([one.information for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3, 3)
-        common = np.array([one.common_m for _, _, one in self._fixes], dtype=np.float64).reshape(-1, 3)
-        return PositionFixes(rows, positions, information, common)
+        return _collected(self._fixes)
+
+
+def _collected(fixes: Sequence[tuple[int, FloatArray, Measured]]) -> PositionFixes:
+    """Collect fixes: number of the image, position of the centre of mass in the camera, and what is measured of it."""
+    rows: IndexArray = np.array([number for number, _, _ in fixes], dtype=np.int64)
+    positions = np.array([one for _, one, _ in fixes], dtype=np.float64).reshape(-1, 3)
+    information = np.array([one.information for _, _, one in fixes], dtype=np.float64).reshape(-1, 3, 3)
+    common = np.array([one.common_m for _, _, one in fixes], dtype=np.float64).reshape(-1, 3)
+    return PositionFixes(rows, positions, information, common)
 
 
 def predict_orbit(
@@ -168,26 +181,46 @@ def predict_orbit(
     """Predict the covariance (6, 6) of the state at the epoch, m and m/s, from the views (I) of all images.
 
     ``predict`` gives the covariance of the estimate in a view, with the error that is common to all, or None where it
-    has none. Each fix is the position of the body in its view, without an error of the estimate. The result is None if
-    there are too few fixes, or the filter accepts no orbit.
+    has none. Derivatives are those at the a priori values of ``task``, whose orbit is the planned one: it is propagated
+    once, and the images before give the covariance of the prior of the next. The result is None if there are too few
+    fixes, or the orbit leads into the body.
     """
-    navigator, nothing = ApproachNavigator(task, orbit), np.zeros((0, 0), dtype=np.float32)
+    fixes: list[tuple[int, FloatArray, Measured]] = []
+    layout = ParameterLayout.of(task.data(len(views), _collected(fixes), task.wanted_s), orbit.options)
+    x, nothing = np.zeros(layout.size), np.zeros((0, 0), dtype=np.float32)
+
+    def by_first(count: int) -> MeasurementModel:
+        data = task.data(count, _collected(fixes), task.wanted_s)
+        start = BatchState.initial(data, layout)
+        return DataArc.until(data, layout, orbit.options, start, float(task.times_s[count - 1])).model
+
+    def covariance_by(model: MeasurementModel) -> FloatArray:
+        by_shared = model.tracking(x, flown).by_shared
+        covariance = np.asarray(np.linalg.inv(layout.information + by_shared.T @ by_shared), dtype=np.float64)
+        return model.considered(x, flown, covariance)
+
+    try:
+        # The epochs of the first images are the first ones of all, so that the rows of one propagation serve them.
+        flown = by_first(len(views)).propagate(x)
+    except OrbitLostError:
+        return None
     for number, view in enumerate(views):
-        frame = navigator.frame(number, nothing)
-        if frame is None:
+        model = by_first(number + 1)
+        centre = model.last_centre(x, flown, covariance_by(model))
+        if centre is None:
             return None
-        true, prior, before = view.T_cam_body, frame.prior_T_cam_body, frame.prior_covariance[3:, 3:]
-        sun_dir = true.rotate(view.sun_dir_body)
-        found = predict(Observation(camera, replace(frame, sun_dir_cam=sun_dir, prior_T_cam_body=true)))
-        estimate = Estimate("failed", "the view allows no estimate")
+        frame = task.frame(number, nothing, centre)
+        pose, prior_m2 = view.T_cam_body, frame.prior_covariance[3:, 3:]
+        sun_dir = pose.rotate(view.sun_dir_body)
+        found = predict(Observation(camera, replace(frame, sun_dir_cam=sun_dir, prior_T_cam_body=pose)))
         if found is not None and found.covariance is not None:
-            # The gain of the estimate times the error of the prior: the fix that `add` takes from it has no error then.
-            off_m = true.transform(task.centre_of_mass_m) - prior.transform(task.centre_of_mass_m)
-            step_m = off_m - found.covariance[3:, 3:] @ np.linalg.solve(before, off_m)
-            estimate = replace(found, pose=replace(prior, translation_m=prior.translation_m + step_m))
-        navigator.add(number, frame, estimate)
-    result = navigator.result()[0]
-    return None if result.status != "ok" or result.orbit is None else result.orbit.covariance
+            common_m = np.zeros(3) if found.common is None else found.common[3:]
+            fix = measurement_of(prior_m2, np.zeros(3), found.covariance[3:, 3:], common_m)
+            fixes += [] if fix is None else [(number, pose.transform(task.centre_of_mass_m), fix)]
+    if len(fixes) < _LEAST_FIXES:
+        return None
+    scale = layout.state_sigma
+    return np.asarray(covariance_by(by_first(len(views)))[:6, :6] * np.outer(scale, scale))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -99,6 +99,11 @@ class MeasurementModel:
     layout: ParameterLayout
     measured: Measurements
 
+    @cached_property
+    def directions(self) -> MeasuredDirections | None:
+        """Return what the fixes measure; None without fixes."""
+        return None if self.measured.fixes is None else measured_directions(self.measured.fixes, self.layout)
+
     def propagate(self, x: FloatArray) -> OrbitPartials:
         """Propagate the orbit over the arc."""
         return propagate_orbit(self.layout, x, self.measured.epochs_s)
@@ -176,23 +181,24 @@ class MeasurementModel:
     def tracking(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
         """Predict what does not depend on landmarks: ranges and range rates, then fixes."""
         passes = self.passes(x, flown)
-        if self.measured.fixes is None:
+        if self.measured.fixes is None or self.directions is None:
             return passes
-        fixed = self.fixed(self.measured.fixes, x, flown)
+        fixed = self.fixed(self.measured.fixes, self.directions, x, flown)
         residuals = np.r_[passes.residuals, fixed.residuals]
         return TrackingResiduals(residuals, np.vstack([passes.by_shared, fixed.by_shared]), len(fixed.residuals))
 
-    def fixed(self, fixes: PositionFixes, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
+    def fixed(
+        self, fixes: PositionFixes, found: MeasuredDirections, x: FloatArray, flown: OrbitPartials
+    ) -> TrackingResiduals:
         """Predict the measured positions of the body's centre of mass: those directions that are measured.
 
         The error of each attitude is part of the noise of its fix, and no unknown.
         """
-        found = measured_directions(fixes, self.layout)
         centre_m, by_shared = self.centres(x, flown, fixes.image[found.fix])
         residuals = np.einsum("ki,ki->k", found.rows, fixes.position_cam_m[found.fix] - centre_m)
         return TrackingResiduals(residuals, np.einsum("ki,kip->kp", found.rows, by_shared))
 
-    def considered(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
+    def considered(self, x: FloatArray, flown: OrbitPartials, covariance: FloatArray) -> FloatArray:
         """Add what the error that all fixes share does to the unknowns to their covariance (n, n).
 
         The fixes are weighted as if their errors were independent, and the common one is considered: no unknown, as it
@@ -200,13 +206,12 @@ class MeasurementModel:
         s_i = P H_i^T c_i is what it does by that fix. P contains each s_i s_i^T, and the covariance is P + S S^T - sum
         of s_i s_i^T, S being the sum of the s_i.
         """
-        fixes = self.measured.fixes
-        if fixes is None:
+        fixes, found = self.measured.fixes, self.directions
+        if fixes is None or found is None:
             return covariance
-        found = measured_directions(fixes, self.layout)
         common = np.einsum("ki,ki->k", found.rows, fixes.common_m[found.fix])
         moved = np.zeros((len(fixes.image), self.layout.size))
-        np.add.at(moved, found.fix, self.fixed(fixes, x, self.propagate(x)).by_shared * common[:, None])
+        np.add.at(moved, found.fix, self.fixed(fixes, found, x, flown).by_shared * common[:, None])
         moved = moved @ covariance
         total = moved.sum(axis=0)
         return covariance + np.outer(total, total) - moved.T @ moved
@@ -231,7 +236,7 @@ class MeasurementModel:
         centre_m[:, 2] /= 1.0 + layout.focal(x)
         return centre_m, by_shared
 
-    def last_centre(self, x: FloatArray, covariance: FloatArray) -> CentreInCamera | None:
+    def last_centre(self, x: FloatArray, flown: OrbitPartials, covariance: FloatArray) -> CentreInCamera | None:
         """Return where the last image shows the centre of mass, by unknowns with a covariance (n, n).
 
         None without fixes.
@@ -239,7 +244,7 @@ class MeasurementModel:
         if self.measured.fixes is None:
             return None
         last = np.array([len(self.measured.times_s) - 1])
-        (centre_m,), (by_shared,) = self.centres(x, self.propagate(x), last)
+        (centre_m,), (by_shared,) = self.centres(x, flown, last)
         sigma_rad, part = self.layout.knowledge.misalignment_sigma_rad, self.layout.part("mounting")
         of_mounting = sigma_rad**2 * covariance[part, part] if part.stop > part.start else np.zeros((3, 3))
         return CentreInCamera(

@@ -7,7 +7,7 @@ the prior of its own orbit by the images before.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Self
 
@@ -145,9 +145,11 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
     def predictors(self, trial: int) -> Mapping[str, Prediction]:
         """Fly the true orbit of a trial without images; none if it leads into the body."""
         try:
-            _, views, task = self._flown(trial)
+            truth, views, task = self._flown(trial)
         except OrbitLostError:
             return {}
+        # The planned orbit is the one that leads through the views.
+        task = replace(task, knowledge=replace(task.knowledge, state=truth.states[0]))
 
         def predict(method: Any) -> Mapping[str, float] | None:
             covariance = predict_orbit(task, BatchFilter(), self.world.camera, views, method.predict_estimate)
