@@ -210,7 +210,9 @@ def _flights_of_images(rows: pd.DataFrame, timed: Collection[str]) -> Iterator[t
     """
     for name in rows["scenario"].unique():
         if name not in timed:
-            raise BoresightError(f"{name}: images have no epochs, or one alone, and make no trajectory: export them with --to tum")
+            raise BoresightError(
+                f"{name}: images have no epochs, or one, and make no trajectory: export them with --to tum"
+            )
     for name, frames in _stored_images(rows, _labels(rows, timed, distinct=False)) or ():
         frames.sort(key=lambda frame: frame.time_s)
         if len({frame.time_s for frame in frames}) < len(frames):

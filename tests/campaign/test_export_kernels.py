@@ -208,7 +208,7 @@ def test_what_spice_refuses_is_one_line_and_leaves_no_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--to", "spice"), "images have no epochs, or one alone, and make no trajectory: export them with --to tum"),
+        (("--to", "spice"), "images have no epochs, or one, and make no trajectory: export them with --to tum"),
         (("--to", "tum", "--start-et", "5"), "--body-id, --start-et: of SPICE kernels alone"),
         (("--to", "spice", "--start-et", "nan"), "nan is not from"),
         (("--to", "spice", "--body-id", "99999999999"), "99999999999 is no number of NAIF"),
