@@ -184,7 +184,7 @@ def test_united_landmarks_go_by_the_older_number(global_map: GlobalMap) -> None:
     new, old = pairs[0]
     assert known.may_merge(new, old)
     before = known.seen[new] | known.seen[old]
-    known.merge(new, old)
+    known.merge([(new, old)])
     assert known.of(new) == old
     assert known.seen[old] == before
     assert all(new not in frame.tracks for frame in known.slam_map.frames.values())

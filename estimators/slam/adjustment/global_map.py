@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -63,15 +63,22 @@ class GlobalMap:
         # A landmark seen once has no covariance along its line of sight.
         return [pair for pair in sorted(pairs) if all(len(self.seen.get(self.of(t), ())) >= 2 for t in pair)]
 
-    def merge(self, new: int, old: int) -> None:
-        """Merge two landmarks into one with the number of ``old``."""
-        members = self.members.pop(new, {new})
-        self.members[old] = self.members.pop(old, {old}) | members
-        self.landmark.update(dict.fromkeys(members, old))
-        numbers = self.seen.pop(new)
-        self.seen[old] |= numbers
-        for number in numbers:
+    def merge(self, pairs: Iterable[tuple[int, int]]) -> int:
+        """Merge the landmarks of pairs of tracks, new and old, into one with the number of the old; return how many."""
+        merged, changed = 0, set[int]()
+        for new, old in ((self.of(a), self.of(b)) for a, b in pairs):
+            # Merges before this one may have brought both into one landmark or one frame.
+            if not self.may_merge(new, old):
+                continue
+            members = self.members.pop(new, {new})
+            self.members[old] = self.members.pop(old, {old}) | members
+            self.landmark.update(dict.fromkeys(members, old))
+            numbers = self.seen.pop(new)
+            self.seen[old] |= numbers
+            merged, changed = merged + 1, changed | numbers
+        for number in changed:
             self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
+        return merged
 
     def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
         """Return the adjustment of all frames and its landmarks; those in ``kept`` stay in the reduced system."""
@@ -130,7 +137,8 @@ def planned_covariance(
     """
     known = GlobalMap(sequence, motion=motion)
     for frame, position_m in zip(sequence.frames, positions_m, strict=True):
-        seen_m = np.array([points_m[track] for track in frame.tracks.tolist()]).reshape(-1, 3)
-        planned_px = sequence.camera.project((seen_m - position_m) @ frame.R_cam_body.T)
-        known.plan(replace(frame, uv_px=planned_px), position_m)
+        if frame.contraction:  # the only use of a pixel
+            seen_m = np.array([points_m[track] for track in frame.tracks.tolist()]).reshape(-1, 3)
+            frame = replace(frame, uv_px=sequence.camera.project((seen_m - position_m) @ frame.R_cam_body.T))
+        known.plan(frame, position_m)
     return known.covariance(points_m)

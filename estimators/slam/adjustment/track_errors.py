@@ -57,10 +57,12 @@ class TrackErrors:
             angle_rad = math.hypot(frame.contraction, frame.drift_px / self._camera.fx_px)
             ranges_m = [item.range_m for item in frame.ranges] or [1.0]
             self.common_m = angle_rad * float(np.mean(ranges_m))
-        tracks, here = frame.tracks.tolist(), dict[int, FloatArray]()
-        for track, step in zip(tracks, common_steps(self._camera, frame) / (self.common_m or 1.0), strict=True):
-            # A track begins without error.
-            here[track] = self._moved[self._last[track]][track] + step if track in self._last else 0.0 * step
+        tracks = frame.tracks.tolist()
+        here = dict.fromkeys(tracks, np.zeros((2, 3)))  # a track begins without error
+        steps = common_steps(self._camera, frame) / self.common_m if self.common_m else ()
+        for track, step in zip(tracks, steps, strict=False):
+            if track in self._last:
+                here[track] = self._moved[self._last[track]][track] + step
         self._moved.append(here)
         self._last.update(dict.fromkeys(tracks, number))
         for track in tracks:

@@ -116,9 +116,7 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
             ripe = known.ripe(pending) if number - closed_at >= self.options.closure_frames else []
             if len(ripe) < self.options.closure_pairs:
                 continue
-            for new, old in ((known.of(a), known.of(b)) for a, b in ripe):
-                if known.may_merge(new, old):
-                    known.merge(new, old)
+            known.merge(ripe)
             pending.difference_update(ripe)
             closed_at = number
         return known.covariance(points_m)
@@ -209,12 +207,7 @@ class _LoopClosingWindow(WindowSmoother):
         # A few pairs may agree by chance.
         if len(good) < self.loops.closure_pairs:
             good = []
-        for new, old in (pairs[k] for k in good):
-            new, old = self.global_map.of(new), self.global_map.of(old)
-            # Merges before this one may have brought both into one landmark or one frame.
-            if self.global_map.may_merge(new, old):
-                self.global_map.merge(new, old)
-                self.united += 1
+        self.united += self.global_map.merge(pairs[k] for k in good)
         self.refused += len(pairs) - len(good)
         return len(good)
 

@@ -65,12 +65,17 @@ def _subtract_landmarks(
     blocks, pulls = np.zeros((begin[views], 9 * LANES)), np.zeros((views, 3 * LANES))
     product = np.empty(9 * LANES)
     lanes = terms.shape[1] // 9
+    # Landmarks that were merged have frames between their tracks in which they are not seen.
+    seen = np.zeros(len(terms), np.bool_)
+    for cell in range(len(terms)):
+        for k in range(6 * LANES):
+            seen[cell] |= terms[cell, k] != 0.0
     for g in range(ordering.eliminated):
         end = ordering.begin[g + 1]
         for cell in range(ordering.begin[g], end):
             i = cell + ordering.offset[g]
             slot = slots[i]
-            if slot < 0:
+            if slot < 0 or not seen[cell]:
                 continue
             for k in range(lanes):
                 a, b, c = terms[cell, k], terms[cell, LANES + k], terms[cell, 2 * LANES + k]
@@ -91,7 +96,7 @@ def _subtract_landmarks(
                     )
             for other in range(cell, end):
                 column = slots[i + other - cell]
-                if column < 0:
+                if column < 0 or not seen[other]:
                     continue
                 # Only the upper triangle is stored, and the slots of free views are consecutive.
                 at = begin[slot] + column - slot
