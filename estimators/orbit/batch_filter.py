@@ -397,8 +397,11 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
 def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
     """Convert a solution to the units of the contract and propagate it to the wanted times."""
     x = fit.solution.x
-    on_arc = fit.arc.model.propagate(x)
-    covariance = fit.arc.model.considered(x, on_arc, fit.adjusted.covariance(layout.size))
+    model, covariance, centre = fit.arc.model, fit.adjusted.covariance(layout.size), None
+    if data.fixes is not None:
+        on_arc = model.propagate(x)
+        covariance = model.considered(x, on_arc, covariance)
+        centre = model.last_centre(x, on_arc, covariance)
     flown = propagate_orbit(layout, x, data.wanted_s)
     motion = state_derivatives(layout, x, flown, slice(0, 3))
     scale = layout.state_sigma
@@ -420,7 +423,7 @@ def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
         points_body_m=fit.solution.points[fit.arc.landmarks],
         residuals_px=residuals,
         used=used,
-        centre=fit.arc.model.last_centre(x, on_arc, covariance),
+        centre=centre,
     )
 
 

@@ -122,7 +122,7 @@ class ApproachNavigator:
         """Determine the orbit of all images; also return the data that it rests on."""
         count = len(self._task.times_s)
         found = self._accepted(count, self._task.wanted_s)
-        data = self._task.data(count, self._collected(), self._task.wanted_s)
+        data = self._task.data(count, _collected(self._fixes), self._task.wanted_s)
         counts = {"fixes": len(self._fixes), "failed_images": self._failed, "gated_images": len(self._gated)}
         reason = found.reason
         if found.status == "ok" and len(self._fixes) < _LEAST_FIXES:
@@ -154,12 +154,9 @@ class ApproachNavigator:
         return found[best]
 
     def _determined(self, count: int, wanted_s: FloatArray) -> OrbitEstimate:
-        found = self._filter.determine(self._task.data(count, self._collected(), wanted_s))
+        found = self._filter.determine(self._task.data(count, _collected(self._fixes), wanted_s))
         self._seconds += found.seconds
         return found
-
-    def _collected(self) -> PositionFixes:
-        return _collected(self._fixes)
 
 
 def _collected(fixes: Sequence[tuple[int, FloatArray, Measured]]) -> PositionFixes:
