@@ -43,10 +43,14 @@ class Measure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column(Measure):
-    """A column of a stored table: a measure, if reports print it, with its Arrow type and meaning."""
+    """A column of a stored table: a measure, if reports print it, with its Arrow type and meaning.
+
+    One of whole numbers with ``gaps`` has rows without a number.
+    """
 
     type: pa.DataType
     meaning: str
+    gaps: bool = False
     printed: bool = False
 
     @property
@@ -63,9 +67,10 @@ def text(name: str, meaning: str) -> Column:
     return Column(name=name, type=pa.string(), meaning=meaning)
 
 
-def count(name: str, meaning: str, label: str = "") -> Column:
+def count(name: str, meaning: str, label: str = "", *, gaps: bool = False) -> Column:
     """Make a column of whole numbers; one with a label is a measure of the table of details."""
-    return Column(name=name, type=pa.int64(), meaning=meaning, label=label, printed=bool(label), detail=bool(label))
+    shown = bool(label)
+    return Column(name=name, type=pa.int64(), meaning=meaning, gaps=gaps, label=label, printed=shown, detail=shown)
 
 
 def flag(name: str, meaning: str) -> Column:
@@ -125,7 +130,9 @@ COMMON_ROW: Columns = (
 )
 """The row of a trial and method, whatever the kind."""
 
-DATABASE: Columns = (count("database", "number of the data base that it had, from 0; empty where it has none"),)
+DATABASE: Columns = (
+    count("database", "number of the data base that it had, from 0; empty where it has none", gaps=True),
+)
 VIEW: Columns = (
     number("range_m", "true distance of the camera from the body's origin"),
     number("phase_deg", "true phase angle at the body's origin"),

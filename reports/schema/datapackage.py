@@ -61,8 +61,14 @@ def write_data_package(
 
 
 def stored_fields(name: str, experiment: str) -> Fields:
-    """Describe the columns of a table as a run of a kind of trial stores it."""
-    return [_field(column, _TYPES.get(column.type, "string")) for column in columns_of(name, experiment)]
+    """Describe the columns of a table as a run of a kind of trial stores it.
+
+    Readers by way of pandas have whole numbers with gaps as floats.
+    """
+    return [
+        _field(column, "number" if column.gaps else _TYPES.get(column.type, "string"))
+        for column in columns_of(name, experiment)
+    ]
 
 
 def exported_fields(name: str, table: pd.DataFrame) -> Fields:

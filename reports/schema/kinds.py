@@ -279,7 +279,7 @@ _NAVIGATION = KindSchema(
             count("hits", "images that show it"),
             count("crater", "true crater that most of its sightings are of; -1 for none"),
             count("n_other", "sightings of another one"),
-            count("n_used", "sightings that the orbit rests on; empty without an orbit"),
+            count("n_used", "sightings that the orbit rests on; empty without an orbit", gaps=True),
             number("first_days", "time after the epoch of its first image"),
             number("last_days", "of its last image"),
         ),

@@ -69,14 +69,22 @@ def test_a_tum_trajectory_holds_the_stored_errors(sequences, tmp_path):
     np.testing.assert_allclose(forward, towards, atol=1e-9)
 
 
-@pytest.mark.skipif(shutil.which("evo_ape") is None, reason="evo is not installed")
-def test_evo_reads_a_trajectory_and_finds_the_stored_error(sequences, tmp_path):
+def test_evo_reads_trajectories_and_finds_the_stored_errors(sequences, tiny_run, tmp_path):
+    metrics = pytest.importorskip("evo.core.metrics")
+    read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
     export(sequences, "tum", tmp_path, "--trial", 0)
-    files = [str(tmp_path / f"orbit_fixed-lag_0000000.{which}.tum") for which in ("truth", "estimate")]
-    done = subprocess.run(["evo_ape", "tum", *files], capture_output=True, text=True, check=True, timeout=120)
-    rmse = float(next(line.split()[1] for line in done.stdout.splitlines() if line.split()[:1] == ["rmse"]))
-    errors = pd.read_parquet(sequences / "epochs").query("trial == 0")["position_error_m"]
-    assert rmse == pytest.approx(np.sqrt(np.mean(errors**2)), abs=1e-5)
+    export(tiny_run.folder, "tum", tmp_path, "--estimator", "prior")
+    epochs = pd.read_parquet(sequences / "epochs").query("trial == 0")
+    images = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'prior'").sort_values("trial")
+    position, attitude = metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_deg
+    for name, relation, stored in (
+        ("orbit_fixed-lag_0000000", position, epochs["position_error_m"]),
+        ("scene_prior", position, images["position_error_m"]),
+        ("scene_prior", attitude, images["attitude_error_deg"]),
+    ):
+        found = metrics.APE(relation)
+        found.process_data(tuple(read(tmp_path / f"{name}.{which}.tum") for which in ("truth", "estimate")))
+        np.testing.assert_allclose(found.error, stored, rtol=1e-6, atol=1e-6)
 
 
 def test_single_images_have_trajectories_too(tiny_run, tmp_path):
@@ -248,6 +256,7 @@ def described_rows(run):
     types = {"integer": pa.int64(), "number": pa.float64(), "boolean": pa.bool_(), "string": pa.string()}
     for resource in package["resources"]:
         fields = {field["name"]: types[field["type"]] for field in resource["schema"]["fields"]}
+        fields |= {gapped: pa.int64() for gapped in ("database", "n_used") if fields.get(gapped) == pa.float64()}
         tables = [pq.read_table(run / path) for path in resource["path"]]
         assert all(dict(zip(table.schema.names, table.schema.types, strict=True)) == fields for table in tables)
         found[resource["name"]] = sum(len(table) for table in tables)
@@ -262,6 +271,15 @@ def test_the_folder_of_a_run_describes_its_tables_also_after_it_went_on(tiny_fil
         assert described_rows(tmp_path / "run") == {name: rows for name, rows in stored.items() if rows}
         assert stored["rows"] == trials
         assert list(damaged(tmp_path / "run")) == []
+
+
+def test_frictionless_finds_the_tables_as_described(tiny_run, tmp_path):
+    frictionless = pytest.importorskip("frictionless")
+    export(tiny_run.folder, "csv", tmp_path)
+    for folder in (tmp_path, tiny_run.folder):
+        report = frictionless.Package(str(folder / "datapackage.json")).validate()
+        assert report.flatten(["title", "message"]) == []
+        assert len(report.tasks) >= 5
 
 
 def test_units_are_those_of_the_ends_of_names():
