@@ -424,6 +424,7 @@ def test_the_state_of_the_catalogue_is_that_of_the_kernels():
     }  # fmt: skip
     table = load_scenario("near-eros").spec.viewpoint.states
     kernels = load_scenario("near-eros", [f"viewpoint.trajectory={json.dumps(flown)}"]).spec.viewpoint.states
+    np.testing.assert_allclose(table.time_s, kernels.time_s, atol=6e-3)
     np.testing.assert_allclose(table.position_m, kernels.position_m, atol=6.0)
     np.testing.assert_allclose(table.velocity_m_s, kernels.velocity_m_s, atol=6e-4)
     np.testing.assert_allclose(table.attitude, kernels.attitude, atol=1e-6)
