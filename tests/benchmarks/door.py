@@ -100,12 +100,12 @@ def bench_speed(arguments: argparse.Namespace) -> int:
         out.print(f"{record(found, kept)} ratio(s) recorded in {kept}")
     if not arguments.check:
         return 0
-    unrecorded, fallen = checked(found, history)
+    unrecorded, failed = checked(found, history)
     for key in unrecorded:
         out.print(f"not checked, as it has no record of this processor (--record makes one): {key}")
-    for line in fallen:
-        out.print(f"slower: {line}")
-    return EXIT_REGRESSION if fallen else 0
+    for line in failed:
+        out.print(f"failed: {line}")
+    return EXIT_REGRESSION if failed else 0
 
 
 def speed_table(names: Sequence[str], settings: Settings, tell: Callable[[str], None]) -> SpeedTable:

@@ -37,6 +37,8 @@ class Ratio:
         The least ratio that is aimed at, where there is one.
     agreement
         By what it is known that both did the same work; beside the yardstick, what ours came to.
+    over
+        What ours took more of than it may, in words; '' where nothing.
     same_run
         Whether both were timed here; a published time of another machine is shown, never checked.
     """
@@ -48,6 +50,7 @@ class Ratio:
     peer_s: float
     aim: float | None = None
     agreement: str = ""
+    over: str = ""
     same_run: bool = True
 
     @property
@@ -117,18 +120,20 @@ def read_history(path: Path = HISTORY, processor: str | None = None) -> Mapping[
 
 
 def checked(table: SpeedTable, history: Mapping[str, Kept]) -> tuple[list[str], list[str]]:
-    """Return the ratios of a table that have no record, and what to say of those that fell by more than 30 % since.
+    """Return the ratios of a table that have no record, and what to say of works that took more than they may.
+
+    These are the ones that took too much memory, and those whose ratio fell by more than 30 % since the record.
 
     Times on the clock are also of other guests' making: such ratios are shown, those by processor time are checked.
     """
     found = [ratio for ratio in table.ratios if ratio.same_run and ratio.clock == "cpu"]
-    fallen = []
+    failed = [f"{ratio.work}: {ratio.over}" for ratio in table.ratios if ratio.over]
     for ratio in found:
         kept = history.get(ratio.key)
         if kept is not None and ratio.value < (1.0 - REGRESSION) * kept.ratio:
             fell = 1.0 - ratio.value / kept.ratio
-            fallen.append(f"{ratio.key}: {ratio.value:.3g}, {fell:.0%} below the {kept.ratio:.3g} of {kept.commit}")
-    return [ratio.key for ratio in found if ratio.key not in history], fallen
+            failed.append(f"{ratio.key}: {ratio.value:.3g}, {fell:.0%} below the {kept.ratio:.3g} of {kept.commit}")
+    return [ratio.key for ratio in found if ratio.key not in history], failed
 
 
 def record(table: SpeedTable, path: Path = HISTORY) -> int:

@@ -91,7 +91,7 @@ def test_the_command_prints_stores_records_and_checks(monkeypatch, tmp_path, cap
     found[0] = replace(FAST, ours_s=0.2)
     assert main(command) == 0, "nothing is checked unless it is asked for"
     assert main([*command, "--record", "--check"]) == 1, "what is recorded is not checked against itself"
-    assert "slower: image | a peer | cpu: 4, 50% below the 8" in capsys.readouterr().out
+    assert "failed: image | a peer | cpu: 4, 50% below the 8" in capsys.readouterr().out
 
 
 def test_a_ratio_is_held_against_records_of_the_same_processor(tmp_path):

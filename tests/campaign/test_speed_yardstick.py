@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from benchmarks import methods, size
 from benchmarks.methods import METHODS, SEQUENCES, combined_ratios, crater_ratios, method_ratios
+from benchmarks.ratio import SpeedTable, checked
 from benchmarks.size import size_ratios
 from benchmarks.timing import YARDSTICK, Seconds, Settings
 from stored_grids import store_wide
@@ -85,6 +86,12 @@ def test_memory_is_that_of_the_work_and_not_of_who_asks():
     assert 1e-3 < fixed_s < 0.1
 
 
+@pytest.mark.parametrize(("most_gib", "over"), [(0.25, r"array: 0\.\d\d GiB .* 0\.25 .*"), (2.0, "")])
+def test_a_work_that_takes_too_much_memory_fails_the_check(most_gib, over):
+    ratio = size.memory_ratio("array", partial(np.ones, 2**26), most_gib)
+    assert re.fullmatch(over, "".join(checked(SpeedTable((ratio,), (), "abc123", "", {}, {}), {})[1]))
+
+
 @pytest.mark.long
 def test_large_works_are_timed_with_their_peak_of_memory(monkeypatch):
     monkeypatch.setattr(size, "store_thousand", partial(store_wide, methods=("a", "b"), trials=2))
@@ -92,6 +99,7 @@ def test_large_works_are_timed_with_their_peak_of_memory(monkeypatch):
     assert (report.work, body.work) == (size.REPORT_WORK, "21 M facets, made and rendered, 4096 x 4096")
     assert report.clock == body.clock == "cpu" and "resident memory up to 0." in report.agreement
     assert float(re.search(r"up to ([\d.]+) GiB", body.agreement)[1]) < 4.0
+    assert report.over == body.over == ""
 
 
 def test_a_system_that_does_not_tell_the_peak_is_named(monkeypatch, tmp_path):
