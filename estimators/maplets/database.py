@@ -110,7 +110,7 @@ class MapletDatabase:
     def contains(self, index: int, points_m: FloatArray) -> NDArray[np.bool_]:
         """Return whether points (P, 3) lie on one maplet: above its grid without the rim, and at its height."""
         local = (points_m - self.centres_m[index]) @ self.axes[index].T
-        inside = np.abs(local[:, :2]).max(axis=1, initial=0.0) <= self.half_m - self.spacing_m
+        inside = np.maximum(*np.abs(local[:, :2].T)) <= self.half_m - self.spacing_m
         grid = np.round(local[:, :2] / self.spacing_m).astype(np.int64) + self.side // 2
         column, row = np.where(inside[:, None], grid, 0).T
         off_m = np.abs(self.heights_m[index, row, column] - local[:, 2])

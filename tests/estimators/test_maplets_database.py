@@ -1,5 +1,7 @@
 """Maplets cut from shapes: heights against ray casting, coverage, and the stored form."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
@@ -114,6 +116,18 @@ def test_spread_points_cover_and_keep_their_distance():
     apart = np.linalg.norm(chosen[:, None] - chosen[None], axis=2) + 9.0 * np.eye(len(chosen))
     assert apart.min() > 0.4
     assert np.linalg.norm(points[:, None] - chosen[None], axis=2).min(axis=1).max() <= 0.4
+
+
+@pytest.mark.parametrize("seed", [None, 3])
+@pytest.mark.parametrize("points", [ball(4).vertices_m / 100.0, np.mgrid[-3:4, -3:4, -2:3].reshape(3, -1).T * 1.0])
+def test_spread_points_are_those_of_passes_over_all_points(points, seed):
+    """Of points at the same distance, which symmetric bodies have, the first counts."""
+    chosen = spread_points(points, 0.45, seed)
+    distance = np.full(len(points), np.inf)
+    for before, after in pairwise(chosen):
+        distance = np.minimum(distance, np.sqrt(((points - points[before]) ** 2).sum(axis=1)))
+        assert after == np.argmax(distance)
+    assert len(chosen) > 2
 
 
 def test_relief_is_the_slope_beside_the_curvature():
