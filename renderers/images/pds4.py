@@ -51,11 +51,16 @@ def parse_pds4_label(content: bytes, path: Path) -> Label:
     if area is None or image is None:
         raise BoresightError(f"{path}: has no Array_2D_Image: only images of lines and samples are read")
     file_name, offset = _text(area, "file_name"), _whole(path, "offset", _text(image, "offset"))
+    unit = next((one.get("unit", "missing") for one in _every(image, "offset")), "missing")
+    if unit != "byte":
+        raise BoresightError(f"{path}: offset: its unit is {unit[:40]}, not byte")
     if file_name is None:
         raise BoresightError(f"{path}: file_name: missing: the label points to no image")
+    own, displays = _text(image, "local_identifier"), _every(root, "Display_Settings")
+    display = next((one for one in displays if _text(one, "local_identifier_reference") == own), root)
     keywords = {
         "^IMAGE": (file_name, Quantity(offset + 1, "BYTES")),
-        "IMAGE": _image(path, image, _text(root, "vertical_display_direction")),
+        "IMAGE": _image(path, image, _text(display, "vertical_display_direction")),
         "START_TIME": _text(root, "start_date_time"),
         "TARGET_NAME": _text(_first(root, "Target_Identification"), "name"),
         "FILTER_NAME": _text(root, "filter_name"),
@@ -76,13 +81,17 @@ def _image(path: Path, image: _Element, display: str | None) -> dict[str, object
         raise BoresightError(f"{path}: data_type: {kind[:40]} is not read; these are: {', '.join(_TYPES)}")
     if (order := _text(image, "axis_index_order")) != "Last Index Fastest":
         raise BoresightError(f"{path}: axis_index_order: {order!r} is not Last Index Fastest")
-    axes = {_text(one, "sequence_number"): _text(one, "elements") for one in _every(image, "Axis_Array")}
-    if axes.keys() != {"1", "2"}:
-        raise BoresightError(f"{path}: Axis_Array: {len(axes)} axes are not lines and samples")
+    axes = {_text(one, "sequence_number"): one for one in _every(image, "Axis_Array")}
+    names = [_text(axes.get(number), "axis_name") or "missing" for number in ("1", "2")]
+    if len(axes) != 2 or [name.casefold() for name in names] != ["line", "sample"]:
+        raise BoresightError(
+            f"{path}: Axis_Array: of {len(axes)} axes, sequence_number 1 is {names[0][:40]} and 2 is {names[1][:40]}:"
+            " only images that are stored line by line (1 Line, 2 Sample) are read"
+        )
     numbers = {"SCALING_FACTOR": "scaling_factor", "OFFSET": "value_offset", "MISSING_CONSTANT": "missing_constant"}
     found: dict[str, object] = {
-        "LINES": _whole(path, "elements", axes["1"]),
-        "LINE_SAMPLES": _whole(path, "elements", axes["2"]),
+        "LINES": _whole(path, "elements", _text(axes["1"], "elements")),
+        "LINE_SAMPLES": _whole(path, "elements", _text(axes["2"], "elements")),
         "UNIT": _text(_first(image, "Element_Array"), "unit"),
         "LINE_DISPLAY_DIRECTION": _DISPLAYS.get(display or ""),
         **dict(zip(("SAMPLE_TYPE", "SAMPLE_BITS"), _TYPES[kind], strict=True)),

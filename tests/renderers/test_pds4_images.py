@@ -121,7 +121,10 @@ def test_a_label_beside_an_image_and_one_of_a_fits_file_are_found(tmp_path):
         (">10</offset>", ">9999</offset>", "too short: 4 lines of 12 bytes from byte 9999"),
         ("<elements>4<", "<elements>4.0<", r"elements: '4\.0' is not a whole number"),
         ("<elements>4<", f"<elements>{10**14}<", "pixels are none, or more than"),
-        ("<sequence_number>2<", "<sequence_number>3<", "2 axes are not lines and samples"),
+        ('<offset unit="byte">10', '<offset unit="kB">10', "offset: its unit is kB, not byte"),
+        ('<offset unit="byte">10', "<offset>10", "offset: its unit is missing, not byte"),
+        ("<sequence_number>2<", "<sequence_number>3<", "of 2 axes, sequence_number 1 is Line and 2 is missing"),
+        (">Line<", ">Band<", "1 is Band and 2 is Sample: only images that are stored line by line"),
         ("<unit>DN</unit>", "<scaling_factor>x</scaling_factor>", "scaling_factor: 'x' is not a number"),
         ("<unit>DN</unit>", "<scaling_factor>nan</scaling_factor>", "is not a finite number of any use"),
         (
@@ -136,6 +139,121 @@ def test_a_label_that_cannot_be_used_is_one_line(tmp_path, old, new, message):
     with pytest.raises(BoresightError, match=message) as refused:
         open_product(path).pixels()
     assert "\n" not in str(refused.value)
+
+
+def test_an_image_that_is_stored_by_columns_is_refused(tmp_path):
+    """Sample may be the first axis (PDS4_PDS.sch, Array_2D_Image): with Last Index Fastest lines are then columns."""
+    path = written(tmp_path, (">Line<", ">?<"), (">Sample<", ">Line<"), (">?<", ">Sample<"))
+    with pytest.raises(BoresightError, match="1 is Sample and 2 is Line: only images that are stored line by line"):
+        open_product(path)
+
+
+# As missions write them: prefixes, several areas and arrays, a display for each array.
+MISSION = """<?xml version="1.0" encoding="utf-8"?>
+<?xml-model href="https://pds.nasa.gov/pds4/pds/v1/PDS4_PDS_1G00.sch"
+  schematypens="http://purl.oclc.org/dsdl/schematron"?>
+<pds:Product_Observational xmlns:pds="http://pds.nasa.gov/pds4/pds/v1" xmlns:disp="http://pds.nasa.gov/pds4/disp/v1"
+  xmlns:img="http://pds.nasa.gov/pds4/img/v1" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"
+  xsi:schemaLocation="http://pds.nasa.gov/pds4/pds/v1 https://pds.nasa.gov/pds4/pds/v1/PDS4_PDS_1G00.xsd">
+  <pds:Identification_Area>
+    <pds:logical_identifier>urn:nasa:pds:mission:data:image</pds:logical_identifier>
+    <pds:version_id>1.0</pds:version_id><pds:title>Image &amp; backplane</pds:title>
+    <pds:information_model_version>1.16.0.0</pds:information_model_version>
+    <pds:product_class>Product_Observational</pds:product_class>
+  </pds:Identification_Area>
+  <pds:Observation_Area>
+    <pds:Time_Coordinates>
+      <pds:start_date_time>2022-09-26T23:14:12.737Z</pds:start_date_time>
+      <pds:stop_date_time>2022-09-26T23:14:12.750Z</pds:stop_date_time>
+    </pds:Time_Coordinates>
+    <pds:Observing_System>
+      <pds:Observing_System_Component>
+        <pds:name>DART</pds:name><pds:type>Host</pds:type>
+      </pds:Observing_System_Component>
+    </pds:Observing_System>
+    <pds:Target_Identification><pds:name>Didymos</pds:name><pds:type>Asteroid</pds:type></pds:Target_Identification>
+    <pds:Discipline_Area>
+      <disp:Display_Settings>
+        <pds:Local_Internal_Reference>
+          <pds:local_identifier_reference>backplane</pds:local_identifier_reference>
+          <pds:local_reference_type>display_settings_to_array</pds:local_reference_type>
+        </pds:Local_Internal_Reference>
+        <disp:Display_Direction>
+          <disp:horizontal_display_axis>Sample</disp:horizontal_display_axis>
+          <disp:horizontal_display_direction>Left to Right</disp:horizontal_display_direction>
+          <disp:vertical_display_axis>Line</disp:vertical_display_axis>
+          <disp:vertical_display_direction>Top to Bottom</disp:vertical_display_direction>
+        </disp:Display_Direction>
+      </disp:Display_Settings>
+      <disp:Display_Settings>
+        <pds:Local_Internal_Reference>
+          <pds:local_identifier_reference>image</pds:local_identifier_reference>
+          <pds:local_reference_type>display_settings_to_array</pds:local_reference_type>
+        </pds:Local_Internal_Reference>
+        <disp:Display_Direction>
+          <disp:horizontal_display_axis>Sample</disp:horizontal_display_axis>
+          <disp:horizontal_display_direction>Left to Right</disp:horizontal_display_direction>
+          <disp:vertical_display_axis>Line</disp:vertical_display_axis>
+          <disp:vertical_display_direction>Bottom to Top</disp:vertical_display_direction>
+        </disp:Display_Direction>
+      </disp:Display_Settings>
+    </pds:Discipline_Area>
+  </pds:Observation_Area>
+  <pds:File_Area_Observational>
+    <pds:File><pds:file_name>header.txt</pds:file_name><pds:file_size unit="byte">10</pds:file_size></pds:File>
+    <pds:Header><pds:offset unit="byte">0</pds:offset><pds:object_length unit="byte">10</pds:object_length>
+      <pds:parsing_standard_id>7-Bit ASCII Text</pds:parsing_standard_id></pds:Header>
+  </pds:File_Area_Observational>
+  <pds:File_Area_Observational>
+    <pds:File><pds:file_name>image.dat</pds:file_name></pds:File>
+    ARRAYS
+  </pds:File_Area_Observational>
+  <pds:File_Area_Observational_Supplemental>
+    <pds:File><pds:file_name>header.txt</pds:file_name></pds:File>
+    <pds:Header><pds:offset unit="byte">0</pds:offset><pds:object_length unit="byte">10</pds:object_length>
+      <pds:parsing_standard_id>7-Bit ASCII Text</pds:parsing_standard_id></pds:Header>
+  </pds:File_Area_Observational_Supplemental>
+</pds:Product_Observational>
+"""
+ARRAY = """<pds:Array_2D_Image>
+      <pds:name>{name}</pds:name><pds:local_identifier>{name}</pds:local_identifier>
+      <pds:offset unit="byte">{offset}</pds:offset><pds:axes>2</pds:axes>
+      <pds:axis_index_order>Last Index Fastest</pds:axis_index_order>
+      <pds:Element_Array><pds:data_type>{kind}</pds:data_type>
+        <pds:scaling_factor>0.25</pds:scaling_factor><pds:value_offset>100</pds:value_offset></pds:Element_Array>
+      <pds:Axis_Array><pds:axis_name>Line</pds:axis_name><pds:elements>4</pds:elements>
+        <pds:sequence_number>1</pds:sequence_number></pds:Axis_Array>
+      <pds:Axis_Array><pds:axis_name>Sample</pds:axis_name><pds:elements>6</pds:elements>
+        <pds:sequence_number>2</pds:sequence_number></pds:Axis_Array>
+    </pds:Array_2D_Image>"""
+
+
+def mission_product(folder, kind, code):
+    """Write a product as missions do, with two arrays in a file; return the path of its label."""
+    arrays = [ARRAY.format(name="image", offset=10, kind=kind), ARRAY.format(name="backplane", offset=0, kind=kind)]
+    (folder / "header.txt").write_bytes(b"SIMPLE = T")
+    (folder / "image.dat").write_bytes(packed(code))
+    (folder / "m.xml").write_text(MISSION.replace("ARRAYS", "\n    ".join(arrays)), encoding="utf-8")
+    return folder / "m.xml"
+
+
+TYPES = [("UnsignedByte", ">B"), ("SignedMSB2", ">h"), ("UnsignedLSB2", "<H"), ("IEEE754LSBSingle", "<f")]
+
+
+@pytest.mark.parametrize(("kind", "code"), TYPES)
+def test_a_label_as_missions_write_it_is_read(tmp_path, kind, code):
+    product = open_product(mission_product(tmp_path, kind, code))
+    np.testing.assert_array_equal(product.pixels(), 0.25 * EXPECTED + 100.0)
+    told = product.metadata()
+    assert (told.spacecraft, told.target, told.line_display) == ("DART", "Didymos", "up")
+
+
+@pytest.mark.parametrize(("kind", "code"), TYPES)
+def test_pixels_are_those_of_another_reader(tmp_path, kind, code):
+    pds4_tools = pytest.importorskip("pds4_tools", reason="pds4_tools is not installed")
+    path = mission_product(tmp_path, kind, code)
+    foreign = pds4_tools.read(str(path), quiet=True)["image"].data
+    np.testing.assert_array_equal(open_product(path).pixels(), np.asarray(foreign, dtype=np.float32))
 
 
 @pytest.mark.parametrize(
