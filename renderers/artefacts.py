@@ -15,12 +15,12 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import UndrawableError
 from boresight.scenarios.geometry import View, pixel_to_opencv
 from boresight.scenarios.spec.artefacts import CosmicRaysSpec, PixelsSpec, StrayLightSpec
 
 _STEP_PX = 0.5  # that the image moves between two instants of an exposure, at most
-_MOST_PX = 500.0
+MOST_SMEAR_PX = 500.0  # of which an image is made
 _SMALL_RAD = 0.02
 _PAD_PX = 12  # beyond which an edge no longer acts on the weights of a spline: 0.27^12 is 1e-7
 _TRACK_STEP_PX = 0.05
@@ -48,33 +48,34 @@ class Motion:
         The whole scene moves as points at the range of the body's origin do: parallax, the spin of the body, and
         changes of light and shadow are left out. Beyond the frame is the light of the nearest pixel, or none with
         ``constant``. Values between pixels are those of a cubic spline, those below zero set to zero, and the sum is
-        that of the spline. Raise `BoresightError` if the image moves too far, or a pixel shows what the camera does
-        not see at the middle of the exposure.
+        that of the spline. Raise `UndrawableError` if the image moves too far, or a pixel shows what the camera
+        does not see at the middle of the exposure.
         """
+        length_px = self.length_px
+        if length_px > MOST_SMEAR_PX:
+            raise UndrawableError(
+                f"detector.motion: the image moves by {length_px:.0f} px in an exposure, above {MOST_SMEAR_PX:g}: give"
+                " lower rates, a law with bounds, or a shorter exposure_s"
+            )
         padded = np.pad(light, _PAD_PX, mode="edge" if beyond == "nearest" else "constant")
         weights, total = spline_filter(padded, order=3, mode="nearest"), np.zeros(light.shape)
-        steps, sources = max(math.ceil(self._length_px() / _STEP_PX), 1), self._path()
+        steps, sources = max(math.ceil(length_px / _STEP_PX), 1), self._path()
         for share in (np.arange(steps) + 0.5) / steps - 0.5:
             columns, rows = np.moveaxis(pixel_to_opencv(sources(share)) + _PAD_PX, -1, 0)
             total += map_coordinates(weights, [rows, columns], order=3, mode="nearest", prefilter=False) / steps
         mean = np.maximum(total, 0.0)
         return np.asarray(mean * (np.sum(total) / max(mean.sum(), np.finfo(float).tiny)), dtype=np.float64)
 
-    def _length_px(self) -> float:
-        """Return a bound of the way of the image in an exposure, in pixels without distortion."""
+    @property
+    def length_px(self) -> float:
+        """Bound of the way of the image in an exposure, in pixels without distortion."""
         camera, rate, velocity = self.view.camera, np.abs(self.rate_rad_s), np.abs(self.velocity_m_s)
         corners = np.array([(u, v) for u in (0, camera.width_px) for v in (0, camera.height_px)])
         away_px = camera.undistorted(corners) - (camera.cx_px, camera.cy_px)
         radius_px, focal_px = float(np.linalg.norm(away_px, axis=1).max()), max(camera.fx_px, camera.fy_px)
         turn = (focal_px + radius_px**2 / focal_px) * np.linalg.norm(rate[:2]) + radius_px * rate[2]
         flight = (focal_px * np.linalg.norm(velocity[:2]) + radius_px * velocity[2]) / self._range_m
-        length_px = self.exposure_s * float(turn + flight)
-        if length_px > _MOST_PX:
-            raise BoresightError(
-                f"detector.motion: the image moves by {length_px:.0f} px in an exposure, above {_MOST_PX:g}: give lower"
-                " rates, a law with bounds, or a shorter exposure_s"
-            )
-        return length_px
+        return self.exposure_s * float(turn + flight)
 
     @property
     def _range_m(self) -> float:
@@ -102,7 +103,7 @@ class Motion:
         points_m = np.einsum("hij,hwj->hwi", turns, self._range_m * camera.unproject(pixels))
         found = camera.project(points_m + time_s[:, None, None] * self.velocity_m_s)
         if not np.isfinite(found).all():
-            raise BoresightError(
+            raise UndrawableError(
                 "detector.motion: a pixel shows what is behind the camera, or outside of its lens, at the middle of the"
                 " exposure: give lower rates, or a shorter exposure_s or row_delay_s"
             )

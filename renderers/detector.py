@@ -51,7 +51,7 @@ class Detector:
         sources, blurred by ``psf_sigma_px`` already (`renderers.stars`). Motion and the gradient of stray light need
         the ``view``, ``motion.trajectory`` the camera's velocity (3,) about the body in body axes. Return (H, W) whole
         digital numbers from 0 to 2**bits - 1. Raise `BoresightError` if the image is not two-dimensional, holds
-        negative or non-finite values, or if view or velocity are needed and missing.
+        negative or non-finite values, moves too far, or if view or velocity are needed and missing.
         """
         image = np.asarray(radiance_factor, dtype=np.float64)
         if image.ndim != 2 or not (np.isfinite(image) & (image >= 0.0)).all():
@@ -63,14 +63,14 @@ class Detector:
         own, exposure_s = rng.spawn(1)[0], self.spec.exposure_s
         exposure_s = exposure_s if isinstance(exposure_s, float) else exposure_s.draw(own)
         of_motion, of_rays = own.spawn(2)
-        motion = self._motion(exposure_s, view, velocity_body_m_s, of_motion)
+        motion = self.motion(exposure_s, view, velocity_body_m_s, of_motion)
         rate_e_per_s = self.rate_e_per_s(image, exposure_s, motion, points_e_per_s, view)
         return self.digitise(self.collect(rate_e_per_s * exposure_s, exposure_s, rng, of_rays), rng)
 
-    def _motion(
+    def motion(
         self, exposure_s: float, view: View | None, velocity_body_m_s: FloatArray | None, rng: np.random.Generator
     ) -> Motion | None:
-        """Draw the motion of the camera during an exposure."""
+        """Draw the motion of the camera during an exposure; None without any. Parameters are those of `expose`."""
         moved = self.spec.motion
         if moved is None:
             return None

@@ -23,6 +23,10 @@ class MachineError(BoresightError):
     """A fault of the machine, not of the input (disk full, process killed): the same command continues afterwards."""
 
 
+class UndrawableError(BoresightError):
+    """Chance drew a trial that cannot be simulated: all methods have failed in it."""
+
+
 class InsideBodyError(BoresightError):
     """A camera is inside the body: an error of a scenario, or the failure of a method that was led there."""
 

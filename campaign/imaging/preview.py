@@ -22,6 +22,7 @@ from boresight.scenarios.sequences.trajectory import nominal_trajectory
 from boresight.scenarios.spec.body import without_detail
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
+from boresight.scenarios.spec.distribution import drawn
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.trajectory import FlownSpec, TrajectorySpec
 
@@ -34,6 +35,8 @@ _TOLD_BYTES = 1e9
 # pixels, 4.1 GB for 21 million in 4096 x 4096.
 _PROCESS_BYTES, _FACET_BYTES, _PIXEL_BYTES = 0.31e9, 142.0, 47.0
 _COARSE_PX = 2.0  # edges of facets beyond which they, not the surface, make the image
+_DrawnView = tuple[View, float, FloatArray | None]
+"""A view, its brightness, and the camera's velocity (3,) in body axes of a trajectory that has it, m/s."""
 
 
 def ranges_m(scenario: LoadedScenario, mesh: TriangleMesh) -> tuple[float, float, float]:
@@ -142,6 +145,8 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
         lines.append(_facets_in_words(spec, mesh, len(coarse.mesh.faces), np.array(near_m) / camera.fx_px))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
+    if spec.detector is not None and spec.detector.motion is not None and views:
+        lines.append(_smear_in_words(scenario, spec.detector, views))
     pairs = spec.crater_pairs
     if spec.craters is not None and sight is not None:
         lines.append(_craters_in_words(spec.craters, sight.in_view, sight.distance_m / camera.fx_px))
@@ -330,6 +335,28 @@ def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight:
     return f"{words}: too dark for most methods, raise detector.exposure_s" if ratio < _NOISY else words
 
 
+def _smear_in_words(scenario: LoadedScenario, detector: DetectorSpec, views: Sequence[_DrawnView]) -> str:
+    """Describe the smear of images in some views; raise BoresightError if no image is made in any of them."""
+    from boresight.renderers.artefacts import MOST_SMEAR_PX  # OpenCV and SciPy, of smear alone
+    from boresight.renderers.detector import Detector
+
+    lengths_px = []
+    for trial, (view, _, velocity_m_s) in enumerate(views):
+        rng = generator(0, Stream.DETECTOR, trial)
+        motion = Detector(detector).motion(drawn(detector.exposure_s, rng), view, velocity_m_s, rng)
+        lengths_px.append(0.0 if motion is None else motion.length_px)
+    most_px, failed = max(lengths_px), sum(length_px > MOST_SMEAR_PX for length_px in lengths_px)
+    words = (
+        f"motion moves images by {np.median(lengths_px):.4g} px (median) and {most_px:.4g} px at most in {_VIEWS} views"
+    )
+    if not failed:
+        return words
+    words += f", above {MOST_SMEAR_PX:g} px in {failed}, where trials fail: give lower rates or a shorter exposure_s"
+    if failed == len(lengths_px):
+        raise BoresightError(f"{scenario.path}: detector.motion: {words}")
+    return words
+
+
 def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m_per_px: float) -> str:
     """Describe the craters that are lit and in the frame, and say what to change where hardly any can be found."""
     least_m, most_m = craters.min_diameter_m, craters.max_diameter_m
@@ -348,8 +375,8 @@ def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m
     return words if found >= 4.0 else f"{words}: too few for most methods, choose a shorter range or more craters"
 
 
-def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator[tuple[View, float]]:
-    """Yield views that are drawn as those of trials, or spread over the frames of a sequence of images; brightness.
+def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator[_DrawnView]:
+    """Yield views that are drawn as those of trials, or spread over the frames of a sequence of images.
 
     Views along a trajectory are spread over its first ``flown`` states, whatever its order is. None of tracks alone.
     """
@@ -357,17 +384,18 @@ def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator
     states = [view * max(flown - 1, 0) // (_VIEWS - 1) for view in range(_VIEWS)]
     if spec.viewpoint is not None:
         for trial, state in enumerate(states):
-            draws, drawn = generator(0, Stream.TRUTH, trial), drawn_together(spec, 0, trial)
-            view = draw_aimed_view(drawn.viewpoint or spec.viewpoint, drawn.lighting, camera, mesh, draws, state)
-            brightness = drawn.lighting.brightness
-            yield view, brightness if isinstance(brightness, float) else brightness.median
+            draws, own = generator(0, Stream.TRUTH, trial), drawn_together(spec, 0, trial)
+            view = draw_aimed_view(own.viewpoint or spec.viewpoint, own.lighting, camera, mesh, draws, state)
+            brightness = own.lighting.brightness
+            velocity_m_s = None if spec.viewpoint.states is None else spec.viewpoint.states.velocity(state)
+            yield view, brightness if isinstance(brightness, float) else brightness.median, velocity_m_s
     elif sequence is not None and sequence.images is not None and sequence.trajectory is not None:
         frames = nominal_trajectory(sequence, MeshGround(mesh)).views(camera)
-        yield from ((frames[state], 1.0) for state in states)
+        yield from ((frames[state], 1.0, None) for state in states)
 
 
-def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[tuple[View, float]]) -> _Sight:
-    """Look at points that are spread over the surface in some views, each with its brightness.
+def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[_DrawnView]) -> _Sight:
+    """Look at points that are spread over the surface in some views.
 
     What one part of the body hides or shades of another is not taken into account, nor is relief smaller than a facet.
     Raise BoresightError if the sphere about the body is out of the frame in all of these views.
@@ -381,7 +409,7 @@ def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[tuple[V
     seen = inside = dark = 0.0
     nearest_m = np.inf
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
-    for view, brightness in views:
+    for view, brightness, _ in views:
         in_view |= view.may_show(mesh.radius_m)
         phases_rad.append(view.phase_angle_rad)
         towards = view.T_cam_body.camera_position_m - places

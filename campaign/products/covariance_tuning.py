@@ -31,7 +31,7 @@ from boresight.estimators.tuned import (
 )
 from boresight.renderers.detector import Detector
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.errors import MachineError
+from boresight.scenarios.errors import MachineError, UndrawableError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec
@@ -108,7 +108,7 @@ def _method(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: i
 def _of_images(
     scenario: LoadedScenario, options: Rehearsals, variant: str, folder: Path, trials: Sequence[int]
 ) -> list[Rehearsed | None]:
-    """Rehearse some trials; None where the base failed."""
+    """Rehearse some trials; None where the base failed, or chance drew no image."""
     found: list[Rehearsed | None] = []
     for number, own in groupby(trials, lambda trial: _number(options, trial)):
         played = rehearsed_scenario(scenario, options, number)
@@ -121,7 +121,10 @@ def _rehearse(
     method: Estimator, played: LoadedScenario, options: Rehearsals, variant: str, trial: int
 ) -> Rehearsed | None:
     world, seed = open_world(played, variant), options.seed + _SEED
-    image = world.source.trial_image(seed, trial)
+    try:
+        image = world.source.trial_image(seed, trial)
+    except UndrawableError:
+        return None
     observation = observe(world, image, seed, trial)
     try:
         answer = method.estimate(observation, rng=np.random.default_rng((seed, trial)))

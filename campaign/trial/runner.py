@@ -23,7 +23,14 @@ from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trial
 from boresight.estimators.contract import Assets, NoProductError
 from boresight.estimators.options import OptionsError, model_of
 from boresight.estimators.registry import estimator_class
-from boresight.scenarios.errors import BoresightError, InsideBodyError, MachineError, printable, text_of
+from boresight.scenarios.errors import (
+    BoresightError,
+    InsideBodyError,
+    MachineError,
+    UndrawableError,
+    printable,
+    text_of,
+)
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_camera
@@ -151,7 +158,7 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     called: ClassVar[str] = "estimator"
     """Sort of the methods, for messages."""
 
-    undrawable: ClassVar[tuple[type[BoresightError], ...]] = ()
+    undrawable: ClassVar[tuple[type[BoresightError], ...]] = (UndrawableError,)
     """Raised by ``draw`` where chance leaves nothing to ask about; all methods have failed then."""
 
     undrawable_reason: ClassVar[str] = "there is no such trial"

@@ -12,7 +12,7 @@ from scipy.integrate import DOP853, solve_ivp
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import inner, kernel
 from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import UndrawableError
 from boresight.scenarios.spec.orbit import SunEarthSpec
 from boresight.scenarios.spec.sequence import ForcesSpec
 
@@ -25,7 +25,7 @@ SUNLIGHT_N_M2 = 1361.0 / 299_792_458.0
 _TOLERANCE = 1e-12  # of the scaled state, relative and absolute
 
 
-class OrbitLostError(BoresightError):
+class OrbitLostError(UndrawableError):
     """An orbit impacts on the body or diverges."""
 
 

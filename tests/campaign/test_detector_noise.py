@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.campaign.cli import main
 from boresight.campaign.imaging.world import open_world
+from boresight.campaign.store import RunFolder
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.draw import Stream, generator
@@ -89,6 +90,33 @@ def test_a_smeared_image_is_the_mean_of_renderings(tmp_path, rate_deg_s, velocit
     found, true = (np.array([(one * u).sum(), (one * v).sum()]) / one.sum() for one in (smeared.image, expected))
     assert np.abs(found - true).max() < 0.02
     assert smeared.image.sum() == pytest.approx(expected.sum(), rel=1e-3)
+
+
+SEQUENCE = """
+body: {shape: sphere}
+camera: {width_px: 64, height_px: 64, fov_deg: 18}
+sequence:
+  orbit: {radius_m: 2000, revolutions: 0.05, step_deg: 6}
+  images: {guided: true, carry: feature, starts: 1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("scene", "experiment", "method"),
+    [(SCENE, "single-image", "prior"), (SEQUENCE, "sequence", "dead-reckoning")],
+)
+def test_a_trial_whose_image_moves_too_far_is_a_failure_and_the_campaign_goes_on(tmp_path, scene, experiment, method):
+    """Of five rates, equally probable, one turns the camera by 25 revolutions in an exposure."""
+    law = f"{{rate_deg_s: {{choice: [[0, 0, 90000], {', '.join(4 * ['[0, 0, 0.1]'])}]}}}}"
+    (tmp_path / "scene.yaml").write_text(scene + f"detector: {{exposure_s: 0.1, motion: {law}}}\n")
+    text = f"experiment: {experiment}\nscenarios: [scene]\nestimators: [{method}]\ntrials: 8\nseed: 1\n"
+    (tmp_path / "c.yaml").write_text(text)
+    assert main(["run", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "run"), "--jobs", "1"]) == 0
+    rows = RunFolder(tmp_path / "run").table("rows")
+    lost = rows["status"] == "failed"
+    assert 0 < lost.sum() < len(rows) == 8
+    assert rows["reason"][lost].str.match("there is no such trial: detector.motion: the image moves by").all()
+    assert set(rows["status"][~lost]) == {"ok"}
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,24 @@ def test_a_body_out_of_the_frame_is_refused():
         shares("viewpoint.range_m=1e5", "camera={fov_deg: 1, principal_point_px: [-600, 256]}")
 
 
+def test_the_smear_by_a_roll_is_told_and_refused_where_no_image_could_be_made():
+    """The corner of 64 x 48 pixels moves on a circle of 40 px."""
+
+    def told(*choices: str) -> str:
+        law = f"detector={{exposure_s: 0.1, motion: {{rate_deg_s: {{choice: [{', '.join(choices)}]}}}}}}"
+        return next(one for one in preview(load_scenario("quickstart", (BALL, *SMALL, law))) if "motion" in one)
+
+    # 0.1 s times 90 deg/s is 0.05 pi rad.
+    assert told("[0, 0, 90]") == "motion moves images by 6.283 px (median) and 6.283 px at most in 40 views"
+    some = re.search(
+        r"and 628\.3 px at most in 40 views, above 500 px in (\d+), where", told("[0, 0, 90]", "[0, 0, 9000]")
+    )
+    assert some is not None
+    assert 10 <= int(some[1]) <= 30
+    with pytest.raises(BoresightError, match=r"detector\.motion: .* above 500 px in 40, where trials fail: give lower"):
+        told("[0, 0, 9000]")
+
+
 @pytest.mark.parametrize("fov_deg", [1.0, 0.05])
 def test_a_coarse_shape_may_fill_the_frame(tmp_path, fov_deg):
     trimesh.creation.box((200.0, 200.0, 200.0)).export(tmp_path / "cube.obj")

@@ -83,7 +83,6 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
     name = "approach-orbit"
     version = 3
     block_trials = 2
-    undrawable = (OrbitLostError,)
 
     world: OrbitWorld
     imager: Imager

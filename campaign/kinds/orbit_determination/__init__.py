@@ -69,7 +69,6 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
     version = 3
     block_trials = 2
     databases = True
-    undrawable = (OrbitLostError,)
 
     world: OrbitWorld
 

@@ -55,7 +55,6 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     name = "sequence"
     version = 5
     block_trials = 5
-    undrawable = (OrbitLostError,)
 
     spec: SequenceSpec
     camera: Camera
@@ -115,7 +114,10 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         if self.images is not None:
             watch = Watch(self.images, self.seed, trial)
             # A vision layer that is guided makes its frames while an estimator follows them.
-            return watch if self.images.spec.guided else watch.whole()
+            if not self.images.spec.guided:
+                return watch.whole()
+            watch.expose()
+            return watch
         return Seen(*self._drawn(trial), vision=[], seconds={})
 
     def _drawn(self, trial: int) -> tuple[SequenceTruth, TrackSequence]:

@@ -300,6 +300,11 @@ class Watch:
         self._tracked.append(seen)
         self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
 
+    def expose(self) -> None:
+        """Make the images of all frames, which may raise `UndrawableError`, before any is asked for."""
+        for slot in self._slots:
+            self._images.image(self._realisation, slot)
+
     def whole(self) -> Seen:
         """Let the vision layer track all images by itself."""
         for index in range(len(self._slots)):
