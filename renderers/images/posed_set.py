@@ -252,12 +252,14 @@ class PosedImageSet(WholeSet):
         ``$BORESIGHT_DATA``. Raise `BoresightError` if a file is missing or contains an error, or if the camera is not
         that of a SUM file or of a model.
         """
-        first = spec.table if spec.sumfiles is None else spec.sumfiles[0].sumfile
+        first, key = (spec.table, "table") if spec.sumfiles is None else (spec.sumfiles[0].sumfile, "sumfiles")
         if spec.colmap is not None:
+            key = "colmap"
             binary, text = colmap.IMAGES
             is_text = is_there(f"{spec.folder}/{text}", search_dirs, "images")
             first = text if is_text and not is_there(f"{spec.folder}/{binary}", search_dirs, "images") else binary
-        path = find_data_file(f"{spec.folder}/{first}", search_dirs, "images", "images.folder")
+        sought = key if is_there(spec.folder, search_dirs, "images") else "folder"
+        path = find_data_file(f"{spec.folder}/{first}", search_dirs, "images", f"images.{sought}")
         folder = path.parent
         sources: tuple[Path, ...] = (path,)
         if spec.colmap is not None:
@@ -272,7 +274,8 @@ class PosedImageSet(WholeSet):
             table = _table_of_sumfiles(sources, spec, camera)
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:
-            raise BoresightError(f"{path}: file: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
+            where = f"{path}: file" if key == "table" else f"images.{key}: image"
+            raise BoresightError(f"{where}: {missing[0]} is not in {folder} ({len(missing)} missing in all)")
         adjusted = None
         if spec.adjusted is not None:
             further = find_data_file(spec.adjusted.table, search_dirs, "images", "images.adjusted.table")

@@ -155,6 +155,23 @@ def test_a_scenario_with_another_camera_is_refused(tmp_path, changes, said):
         open_set(tmp_path, Camera(**{**camera, **changes}))
 
 
+@pytest.mark.parametrize(
+    ("gone", "said"),
+    [
+        ("set/a.png", r"^images\.sumfiles: image: a\.png is not in .*set \(1 missing in all\)"),
+        ("set/M1.SUM", r"^images\.sumfiles: .*M1\.SUM was not found"),
+        ("set", r"^images\.folder: .*M1\.SUM was not found"),
+    ],
+)
+def test_a_missing_file_is_named_with_the_key_that_asks_for_it(tmp_path, gone, said):
+    (tmp_path / "set").mkdir()
+    written(tmp_path / "set", text())
+    cv2.imwrite(str(tmp_path / "set" / "a.png"), np.zeros((16, 24), np.uint8))
+    (tmp_path / gone).rename(tmp_path / "elsewhere")
+    with pytest.raises(BoresightError, match=said):
+        open_set(tmp_path / "set", Camera(24, 16, 1000.0, 900.0, 13.0, 10.5))
+
+
 @needs_data(BENNU)
 def test_no_other_order_of_samples_and_lines_fits_the_image_of_bennu():
     """The shape, painted with OpenCV at the pose of the SUM file, against the image in all eight orders.
