@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,7 +21,7 @@ from boresight.scenarios.load.merge import Plain, apply, on_defaults, parse_over
 from boresight.scenarios.load.yaml_text import ConfigEntry, describe, entry_of, parse_yaml, shortened
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
-from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.scenario import NAME_PATTERN, ScenarioSpec
 from boresight.scenarios.spec.second import SecondBodySpec
 
 SUFFIXES = (".yaml", ".yml")
@@ -263,9 +264,9 @@ def _read_chain(
     shown = own.place.rpartition(":")[0]
     section = dict(own.section or {})
     extends = section.pop("extends", None)
-    # A name is not inherited; that of the file itself is its default.
-    if not children:
-        section.setdefault("name", ConfigEntry(_named(path.name)[0], shown))
+    # A name is not inherited; that of the file itself is its default, where it may be one.
+    if not children and re.fullmatch(NAME_PATTERN, name := _named(path.name)[0]):
+        section.setdefault("name", ConfigEntry(name, shown))
     if len(children) > _MAX_GENERATIONS:
         raise BoresightError(f"{shown}: extends: a chain of more than {_MAX_GENERATIONS} files")
     layers, folders = list[ConfigEntry](), [resolved.parent]

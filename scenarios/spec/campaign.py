@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, JsonValue, ValidationError
 
 from boresight.scenarios.spec.base import PlainValue, SpecModel, rule
-from boresight.scenarios.spec.scenario import NAME_PATTERN
+from boresight.scenarios.spec.scenario import NAME_PATTERN, NAMED
 
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
 _CLASS = r"^[^\x00-\x1f\x7f:][^\x00-\x1f\x7f]*:[A-Za-z_][A-Za-z0-9_]*$"
@@ -154,7 +154,7 @@ class CampaignSpec(SpecModel):
     prose: ClassVar = frozenset({"name", "title", "description", "report", "requirements"})
     own: ClassVar = frozenset({"name", "title", "description"})
 
-    name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
+    name: str = Field(pattern=NAME_PATTERN, description=NAMED)
     title: str = Field("", description="Heading of the report")
     description: str = Field("", description="One line about the campaign")
     experiment: str = Field("single-image", pattern=NAME_PATTERN, description="The kind of trial")

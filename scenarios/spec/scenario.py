@@ -188,6 +188,7 @@ _ONBOARD_OF = {
 """Keys of ``onboard`` that apply to such scenarios; their other a priori knowledge is set in those sections."""
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
+NAMED = "Small letters, digits and . _ -; by default the name of the file, if it has no other characters"
 
 
 class AltimeterSpec(SpecModel):
@@ -218,7 +219,7 @@ class ScenarioSpec(SpecModel):
     prose: ClassVar = frozenset({"name", "description"})
     own: ClassVar = frozenset({"name", "description"})
 
-    name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
+    name: str = Field(pattern=NAME_PATTERN, description=NAMED)
     description: str = Field("", description="One line about the scenario")
     body: BodySpec = BodySpec()
     craters: CratersSpec | None = optional(

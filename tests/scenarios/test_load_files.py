@@ -210,6 +210,15 @@ def test_several_faults_give_several_lines(here):
     ]
 
 
+def test_a_file_whose_name_is_none_of_a_scenario_asks_for_one(here):
+    here("MyScene.yaml", "camera: {fov_deg: 5}\nviewpoint: {range_m: 2000}\n")
+    assert fault("MyScene.yaml") == (
+        "MyScene.yaml: name: this key is missing (Small letters, digits and . _ -; by default the name of the file, if"
+        " it has no other characters)"
+    )
+    assert load_scenario("MyScene.yaml", ("name=scene",)).spec.name == "scene"
+
+
 def test_what_a_file_must_hold(here):
     here("x.yaml", "description: nothing else\n")
     assert fault("x.yaml") == "x.yaml: camera: this key is missing"
