@@ -97,12 +97,14 @@ def _check_extent(
     longest = float(extent.max())
     if low <= longest <= high:
         return
+    unit = prescribed or unit
     other = {"m": "km", "km": "m"}[unit]
     fits = low <= longest * METRES[other] / METRES[unit] <= high
     hint = f"is the file in {other}? set body.unit: {other}" if fits else "check body.unit and body.expected_diameter_m"
     size = " x ".join(f"{side:.4g}" for side in extent)
     if prescribed:
-        unit, hint = prescribed, "this format has no other unit: check body.expected_diameter_m"
+        hint = f"is the file in {other}? write it in {unit}" if fits else "check body.expected_diameter_m"
+        hint = f"this format has no other unit: {hint}"
     raise BoresightError(
         f"{where}: with body.unit {unit} the body is {size} m,"
         f" outside body.expected_diameter_m [{low:g}, {high:g}]; {hint}"

@@ -38,8 +38,17 @@ def test_a_body_of_a_dsk_is_in_metres_whatever_unit_is_given(tmp_path, ball, uni
     mesh = load_body(BodySpec(shape="x.bds", unit=unit), [tmp_path]).mesh
     np.testing.assert_array_equal(mesh.vertices_m, 1e3 * ball[0])
     assert mesh.volume_m3 == pytest.approx(4e9 * np.pi * 2.0, rel=0.02)
-    with pytest.raises(BoresightError, match=r"body\.unit km the body is 6000 x .* this format has no other unit"):
-        load_body(BodySpec(shape="x.bds", unit=unit, expected_diameter_m=(1.0, 10.0)), [tmp_path])
+    with pytest.raises(
+        BoresightError, match=r"body\.unit km the body is 6000 x .* this format has no other unit: check"
+    ):
+        load_body(BodySpec(shape="x.bds", unit=unit, expected_diameter_m=(1.0, 5.0)), [tmp_path])
+
+
+def test_a_dsk_in_metres_is_named_where_its_size_shows_it(tmp_path, ball):
+    """The unit of the format is the km; the body is 6 km long, and 6,000 km by such a file."""
+    write_dsk(tmp_path / "x.bds", 1e3 * ball[0], ball[1])
+    with pytest.raises(BoresightError, match=r"6e\+06 x .* no other unit: is the file in m\? write it in km"):
+        load_body(BodySpec(shape="x.bds"), [tmp_path])
 
 
 def patched(content, at, form, value):
