@@ -46,18 +46,28 @@ def read_table(file: str, folders: Sequence[Path]) -> Table:
             raise ValueError(f"not readable as Parquet: {error}") from None
     if path.suffix == ".mat":
         return read_matlab(path)
-    with path.open(encoding="utf-8", newline="") as stream:
-        if path.suffix.lower() == ".oem":
-            return _ephemeris(stream)
-        lines = (line.partition("#")[0] for line in stream)
-        if path.suffix.lower() == ".tum":
-            return _tum(lines)
-        try:
-            header, *rows = [
-                [word.strip() or "nan" for word in row] for row in csv.reader(lines) if any(map(str.strip, row))
-            ]
-        except (csv.Error, ValueError):  # no line but comments is a ValueError of the unpacking
-            raise ValueError("not readable as a CSV file with a header") from None
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            return _text_table(stream, path.suffix.lower())
+    except UnicodeDecodeError:
+        raise ValueError("not a text table: it holds bytes that are not UTF-8") from None
+
+
+def _text_table(stream: Iterable[str], suffix: str) -> Table:
+    """Read the lines of an OEM or TUM file, or of a CSV file with a header."""
+    if suffix == ".oem":
+        return _ephemeris(stream)
+    lines = (line.partition("#")[0] for line in stream)
+    if suffix == ".tum":
+        return _tum(lines)
+    try:
+        header, *rows = [
+            [word.strip() or "nan" for word in row] for row in csv.reader(lines) if any(map(str.strip, row))
+        ]
+    except UnicodeDecodeError:
+        raise
+    except (csv.Error, ValueError):  # no line but comments is a ValueError of the unpacking
+        raise ValueError("not readable as a CSV file with a header") from None
     for number, row in enumerate(rows):
         if len(row) != len(header):
             raise ValueError(f"row {number} (from 0) has {len(row)} values, not {len(header)} as the header")

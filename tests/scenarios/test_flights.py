@@ -340,3 +340,10 @@ def test_a_tum_file_that_cannot_be_used_is_one_line(tmp_path, old, new, said):
         poses_of(tmp_path, POSES.replace(old, new))
     assert "way.tum cannot be used" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["tum", "oem", "csv"])
+def test_a_table_of_bytes_is_no_text(tmp_path, suffix):
+    (tmp_path / f"way.{suffix}").write_bytes(bytes(range(256)))
+    with pytest.raises(BoresightError, match="cannot be used: not a text table: it holds bytes that are not UTF-8"):
+        load(tmp_path, f"viewpoint: {{trajectory: {{table: way.{suffix}}}}}")
