@@ -228,8 +228,8 @@ class DetectorSpec(DrawnModel):
     gain_e_per_dn: float = Field(25.0, gt=0, description="Electrons for one digital number")
     offset_dn: float = Field(10.0, ge=0, description="Bias level")
     bits: int = Field(12, ge=1, le=16, description="Digital numbers run from 0 to 2**bits - 1")
-    psf_wings: tuple[WingSpec, ...] = optional(
-        "Further Gaussians of the point spread function; psf_sigma_px has the rest of the light", ()
+    psf_wings: tuple[WingSpec, ...] | None = optional(
+        "Further Gaussians of the point spread function; psf_sigma_px has the rest of the light", min_length=1
     )
     stray_light: StrayLightSpec | None = optional("Light beside the image: a veil and a linear background")
     motion: MotionSpec | None = optional("Motion of the camera during the exposure; rolling shutter")
@@ -245,10 +245,11 @@ class DetectorSpec(DrawnModel):
 
     @rule
     def _artefacts_go_together(self) -> None:
-        share = sum(wing.share for wing in self.psf_wings)
+        wings = self.psf_wings or ()
+        share = sum(wing.share for wing in wings)
         if share >= 1.0:
             raise ValueError(f"psf_wings: their shares are {share:g} together: leave light for psf_sigma_px")
-        if any(wing.sigma_px <= self.psf_sigma_px for wing in self.psf_wings):
+        if any(wing.sigma_px <= self.psf_sigma_px for wing in wings):
             raise ValueError(f"psf_wings: give each a sigma_px above psf_sigma_px {self.psf_sigma_px:g}")
         if self.row_shift_s is not None and self.motion is not None and self.motion.row_delay_s is not None:
             raise ValueError("row_shift_s: frame transfer has no rolling shutter: leave out this or motion.row_delay_s")

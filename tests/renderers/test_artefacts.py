@@ -382,6 +382,7 @@ def test_noise_does_not_depend_on_the_draws_of_cosmic_rays():
         ({"psf_wings": ({"share": 0.1, "sigma_px": 0.5},)}, "above psf_sigma_px"),
         ({"psf_wings": ({"share": 0.6, "sigma_px": 2.0},) * 2}, "leave light"),
         ({"psf_wings": ({"share": 0.0, "sigma_px": 2.0},)}, "greater than 0"),
+        ({"psf_wings": ()}, "at least 1 item"),
         ({"row_shift_s": 0.0}, "greater than 0"),
         ({"cosmic_rays": {"hits_per_s": 0.0}}, "greater than 0"),
         ({"jpeg_quality": 80}, "JPEG has 8 bits and the detector 12"),
