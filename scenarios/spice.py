@@ -311,6 +311,8 @@ def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path], *, spin: bo
     names = SpiceNames(spec.observer, spec.camera_frame or "J2000", spec.target, spec.target_frame)
     with loaded_kernels(find_kernels(spec.kernels, folders, "spice.kernels")):
         start_et, stop_et = (float(spiceypy.str2et(utc)) for utc in (spec.start_utc, spec.stop_utc))
+        if stop_et < start_et:
+            raise BoresightError(f"spice: stop_utc {spec.stop_utc} is before start_utc {spec.start_utc}")
         count = math.floor((stop_et - start_et) / spec.step_s + 1e-9) + 1
         if not 1 <= count <= MOST_STATES:
             raise BoresightError(f"spice: {count} epochs from start_utc to stop_utc are not within [1, {MOST_STATES}]")

@@ -115,7 +115,11 @@ def read_colmap(images: Path, unit_m: float) -> Mapping[str, tuple[Camera, Pose]
     """
     path = cameras_file(images)
     binary = images.suffix == ".bin"
-    cameras = {one.number: _camera(one) for one in (_binary_cameras(path) if binary else _text_cameras(path))}
+    cameras: dict[float, Camera] = {}
+    for one in _binary_cameras(path) if binary else _text_cameras(path):
+        if one.number in cameras:
+            raise BoresightError(f"{one.place}: camera {one.number:g} appears twice")
+        cameras[one.number] = _camera(one)
     found: dict[str, tuple[Camera, Pose]] = {}
     for place, number, pose, camera, name in _binary_images(images) if binary else _text_images(images):
         quat_wxyz = np.array(pose[:4])

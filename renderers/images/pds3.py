@@ -34,6 +34,11 @@ _TYPES = {
     **dict.fromkeys(("IEEE_REAL", "REAL", "FLOAT", "MAC_REAL", "SUN_REAL"), ">f"),
     "PC_REAL": "<f",
 }
+# Stored numbers that stand for no brightness. A constant for pixels that are too bright may be one.
+MARKS = (
+    "MISSING_CONSTANT", "INVALID_CONSTANT", "ERROR_CONSTANT", "UNKNOWN_CONSTANT", "NOT_APPLICABLE_CONSTANT",
+    "SATURATED_CONSTANT", "LOW_INSTRUMENT_SATURATION", "LOW_REPRESENTATION_SATURATION",
+)  # fmt: skip
 _LARGEST = 1e39  # above single precision's largest number, 3.4e38: MISSING_CONSTANT is often the lowest number, -3.4e38
 _BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
 
@@ -147,9 +152,10 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
     samples = rows[:, layout.prefix : stride - layout.suffix if layout.suffix else stride]
     stored = np.ascontiguousarray(samples).view(layout.dtype)
     # The constant is one of the stored numbers, before scaling.
-    missing = _number(label, image, "MISSING_CONSTANT", None)
-    if missing is not None and (gaps := int((stored == missing).sum())):
-        raise label.fault(f"{gaps} pixels are marked as missing (MISSING_CONSTANT = {missing:g})")
+    for name in MARKS:
+        mark = _number(label, image, name, None)
+        if mark is not None and (gaps := int((stored == mark).sum())):
+            raise label.fault(f"{gaps} pixels are marked as missing ({name} = {mark:g})")
     scale, offset = _number(label, image, "SCALING_FACTOR", 1.0), _number(label, image, "OFFSET", 0.0)
     # Results beyond single precision become infinite; the caller refuses them.
     with np.errstate(over="ignore", invalid="ignore"):

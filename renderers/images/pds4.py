@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from pvl.collections import Quantity
 
-from boresight.renderers.images.pds3 import Label
+from boresight.renderers.images.pds3 import MARKS, Label
 from boresight.scenarios.errors import BoresightError, one_line
 
 PDS4_SUFFIXES = (".xml",)
@@ -27,6 +27,7 @@ _TYPES = MappingProxyType(
         **{f"IEEE754{order}Double": (name, 64) for order, name in (("LSB", "PC_REAL"), ("MSB", "IEEE_REAL"))},
     }
 )
+_ACROSS = "Left to Right"
 _DISPLAYS = {"Bottom to Top": "UP", "Top to Bottom": "DOWN"}
 _Element = ElementTree.Element
 
@@ -58,6 +59,9 @@ def parse_pds4_label(content: bytes, path: Path) -> Label:
         raise BoresightError(f"{path}: file_name: missing: the label points to no image")
     own, displays = _text(image, "local_identifier"), _every(root, "Display_Settings")
     display = next((one for one in displays if _text(one, "local_identifier_reference") == own), root)
+    across = _text(display, "horizontal_display_direction") or _ACROSS
+    if across != _ACROSS:
+        raise BoresightError(f"{path}: horizontal_display_direction: {across[:40]!r} is not read: only {_ACROSS}")
     keywords = {
         "^IMAGE": (file_name, Quantity(offset + 1, "BYTES")),
         "IMAGE": _image(path, image, _text(display, "vertical_display_direction")),
@@ -88,7 +92,7 @@ def _image(path: Path, image: _Element, display: str | None) -> dict[str, object
             f"{path}: Axis_Array: of {len(axes)} axes, sequence_number 1 is {names[0][:40]} and 2 is {names[1][:40]}:"
             " only images that are stored line by line (1 Line, 2 Sample) are read"
         )
-    numbers = {"SCALING_FACTOR": "scaling_factor", "OFFSET": "value_offset", "MISSING_CONSTANT": "missing_constant"}
+    numbers = {"SCALING_FACTOR": "scaling_factor", "OFFSET": "value_offset"} | {name: name.lower() for name in MARKS}
     found: dict[str, object] = {
         "LINES": _whole(path, "elements", _text(axes["1"], "elements")),
         "LINE_SAMPLES": _whole(path, "elements", _text(axes["2"], "elements")),

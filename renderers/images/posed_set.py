@@ -213,6 +213,12 @@ def _table_of_colmap(path: Path, spec: ColmapSpec, prefix: str, camera: Camera) 
             raise BoresightError(f"{path}: {taken[name]} and {one.image} have the same pose, that of {name}")
         taken[name] = one.image
         own, pose = model[name]
+        first, _ = model[next(iter(taken))]
+        if own != first:
+            raise BoresightError(
+                f"{path}: {one.image} and {spec.images[0].image} have other cameras: a scenario has one, so give each a"
+                " scenario of its own"
+            )
         check_camera(camera, own, one.image, str(colmap.cameras_file(path)))
         if pose.translation_m[2] <= 0.0:
             raise BoresightError(f"{path}: {one.image}: the body is behind the camera")

@@ -134,6 +134,8 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
     turns = winding_number(mesh, np.zeros(3))
     # 1 inside and 0 outside, within rounding.
     if abs(turns - 1.0) > 0.5:
+        if turns > 1.5:
+            raise BoresightError(f"{where}: {turns:.0f} closed surfaces lie about the origin: keep the outer one")
         centre = mesh.vertices_m.mean(axis=0)
         raise BoresightError(
             f"{where}: the origin lies outside the body (winding number {turns:.2f}); move the shape so that its"

@@ -178,6 +178,11 @@ class ImageSetSpec(SpecModel):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"{source}: {twice[0]} appears twice")
+        files = [one.sumfile for one in self.sumfiles or ()]
+        if len(set(files)) < len(files):
+            raise ValueError(
+                f"sumfiles: {max(files, key=files.count)} is the file of two images: each has its own pose"
+            )
 
 
 _ONBOARD_OF = {

@@ -79,6 +79,16 @@ def test_two_images_have_not_the_same_pose(tmp_path):
         open_set(tmp_path, images=both)
 
 
+def test_two_images_have_one_camera(tmp_path):
+    write_text_model(tmp_path, {"a.png": POSE, "b.png": (1, 0, 0, 0, 1, 2, 3)})
+    cameras, images = tmp_path / "cameras.txt", tmp_path / "images.txt"
+    cameras.write_text(cameras.read_text() + "8 PINHOLE 1000 800 1400 1490 500 380\n")
+    images.write_text(images.read_text().replace("7 b.png", "8 b.png"))
+    both = [{"image": name, "sun_body": [0, 3, 4]} for name in ("a.png", "b.png")]
+    with pytest.raises(BoresightError, match=r"b\.png and a\.png have other cameras: a scenario has one"):
+        open_set(tmp_path, images=both)
+
+
 LENSES = (
     (2, "SIMPLE_RADIAL", (1500.0, 500.0, 380.0, -0.3), (-0.3, 0, 0, 0)),
     (3, "RADIAL", (1500.0, 500.0, 380.0, -0.3, 0.2), (-0.3, 0.2, 0, 0)),
@@ -143,6 +153,12 @@ def test_a_text_model_is_the_binary_one_and_read_where_that_is_missing(tmp_path)
         ("cameras.txt", "1000", "1000.5", r"cameras\.txt:2: camera 7: no camera has 1000\.5 x 800 pixels"),
         ("cameras.txt", "1500.0", "x", r"cameras\.txt:2: 'x' is not a number that this can be"),
         ("cameras.txt", "7 PINHOLE 1000 800", "7 PINHOLE #", r"cameras\.txt:2: '#' is not a number"),
+        (
+            "cameras.txt",
+            "1500.0",
+            "1500.0 1490.0 500.0 380.0\n7 PINHOLE 1000 800 1400.0",
+            r"cameras\.txt:3: camera 7 appears",
+        ),
         ("images.txt", "4.0 7", "nan 7", r"images\.txt:2: 'nan' is not a number that this can be"),
         ("images.txt", "4.0 7", "4.0 8", r"images\.txt:2: a\.png: camera 8 of image 1 is not in cameras\.txt"),
         ("images.txt", " 7 a.png", " 7", r"images\.txt:2: not IMAGE_ID, QW, .* NAME of an image"),

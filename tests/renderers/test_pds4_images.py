@@ -127,10 +127,13 @@ def test_a_label_beside_an_image_and_one_of_a_fits_file_are_found(tmp_path):
         (">Line<", ">Band<", "1 is Band and 2 is Sample: only images that are stored line by line"),
         ("<unit>DN</unit>", "<scaling_factor>x</scaling_factor>", "scaling_factor: 'x' is not a number"),
         ("<unit>DN</unit>", "<scaling_factor>nan</scaling_factor>", "is not a finite number of any use"),
-        (
-            "</Array_2D",
-            "<Special_Constants><missing_constant>7</missing_constant></Special_Constants></Array_2D",
-            "1 pixels are marked as missing",
+        *(
+            (
+                "</Array_2D",
+                f"<Special_Constants><{name}>7</{name}></Special_Constants></Array_2D",
+                rf"1 pixels are marked as missing \({name.upper()} = 7\)",
+            )
+            for name in ("missing_constant", "invalid_constant", "saturated_constant", "low_instrument_saturation")
         ),
     ],
 )
@@ -139,6 +142,13 @@ def test_a_label_that_cannot_be_used_is_one_line(tmp_path, old, new, message):
     with pytest.raises(BoresightError, match=message) as refused:
         open_product(path).pixels()
     assert "\n" not in str(refused.value)
+
+
+def test_an_image_to_be_displayed_from_right_to_left_is_refused(tmp_path):
+    path = mission_product(tmp_path, *TYPES[0])
+    path.write_text(path.read_text().replace("Left to Right", "Right to Left"))
+    with pytest.raises(BoresightError, match="horizontal_display_direction: 'Right to Left' is not read"):
+        open_product(path)
 
 
 def test_an_image_that_is_stored_by_columns_is_refused(tmp_path):

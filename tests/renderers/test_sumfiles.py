@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from mission_data import data_path, needs_data
 from painted_bodies import correlation, painted
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from boresight.renderers.images import PosedImageSet
@@ -127,6 +128,12 @@ def test_a_sumfile_that_is_cut_short_anywhere_is_refused_or_read_whole(tmp_path)
         with pytest.raises(BoresightError):
             read_sumfile(written(tmp_path, content[:end]))
     read_sumfile(written(tmp_path, content[:whole]))
+
+
+def test_two_images_have_not_the_same_file():
+    both = [{"image": name, "sumfile": "M1.SUM"} for name in ("a.png", "b.png")]
+    with pytest.raises(ValidationError, match=r"sumfiles: M1\.SUM is the file of two images"):
+        ImageSetSpec.model_validate({"folder": ".", "sumfiles": both})
 
 
 def test_other_times_and_missing_files_are_refused(tmp_path):

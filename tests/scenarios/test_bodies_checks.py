@@ -90,6 +90,13 @@ def test_an_origin_outside_is_refused():
         check(ball(centre=(150.0, 0.0, 0.0)))
 
 
+def test_a_surface_within_another_is_refused():
+    outer, inner = ball(), ball()
+    vertices = np.vstack([outer.vertices, 0.5 * inner.vertices])
+    with pytest.raises(BoresightError, match="2 closed surfaces lie about the origin: keep the outer one"):
+        check(RawShape(vertices, np.vstack([outer.faces, inner.faces + len(outer.vertices)])))
+
+
 def test_facets_without_area_are_noted():
     shape = ball()
     corner = shape.faces[0]

@@ -244,7 +244,7 @@ def test_apparent_states_are_those_of_images_from_the_same_kernels(mission):
     ("change", "said"),
     [
         ({"last_s": 90000.0}, "spice cannot be used: SPICE: .*INSUFF"),
-        ({"last_s": 50.0}, r"0 epochs from start_utc to stop_utc are not within \[1, "),
+        ({"last_s": 50.0}, r"spice: stop_utc .* is before start_utc "),
         ({"kernels": ("naif.tls", "tiny.bsp", "none.bc")}, "none.bc was not found"),
         ({"kernels": ("naif.tls", "tiny.bsp")}, "spice cannot be used: SPICE: "),
         ({"kernels": ("tiny.bsp",)}, "spice cannot be used: SPICE: .*LEAP"),

@@ -205,7 +205,8 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
         "poses",
         draw_pose_renderings(image, looks, what, lines),
         f"{what}. Above, the outline of the true body at the prior, at the estimate and at the truth. Below, the image"
-        f" less a rendering of it there, scaled to the image; at the truth only noise and the lens are left.{none}",
+        " less a rendering of it there, scaled to the image; at the truth only noise, blur and the lens are left."
+        f"{none}",
         "The image with the outline of the body at each pose, and below it what a rendering leaves of the image.",
     )
 
