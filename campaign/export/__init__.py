@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from boresight.campaign.export.epochs import Scale, converted_s, scale_of
 from boresight.campaign.export.kernels import BODY_AXES, Origin, flights_of, write_definitions, write_kernels
 from boresight.campaign.export.sumfiles import write_sumfiles
 from boresight.campaign.inspection.recompute import (
@@ -158,6 +159,8 @@ def _poses(
                 f"{name}: camera.distortion: SUM files have a lens for the camera of NEAR alone, and without it their"
                 " pixels are not those of the images: export with --to colmap or tum"
             )
+    if to == "sum":
+        labels = _in_scale("utc", labels, rows, campaign)
     cases, trajectory = shown(cases_of(rows)), show.trajectory
     if to in _MODELS:
         for name, model in _posed(campaign, folder, show, cases, labels):
@@ -187,7 +190,7 @@ def _kernels(
     show, cases = show_of(kind), cases_of(rows)
     every: Iterable[tuple[str, Mapping[str, Flight]]]
     if show is not None and show.pooled:
-        every = list(_flights_of_images(rows, timed))
+        every = list(_flights_of_images(rows, timed, campaign))
         origin = replace(origin, axes=BODY_AXES).before(flights for _, flights in every)
     elif show is not None and show.trajectory is not None:
         trajectory = show.trajectory
@@ -203,7 +206,9 @@ def _kernels(
     return [*written, write_definitions(origin, out)] if written else []
 
 
-def _flights_of_images(rows: pd.DataFrame, timed: Collection[str]) -> Iterator[tuple[str, Mapping[str, Flight]]]:
+def _flights_of_images(
+    rows: pd.DataFrame, timed: Collection[str], campaign: ResolvedCampaign
+) -> Iterator[tuple[str, Mapping[str, Flight]]]:
     """Yield the flights that solved single images sample, by scenario and estimator, in body axes.
 
     Raise BoresightError if images have no epochs or poses, or two of a flight have one epoch.
@@ -213,7 +218,8 @@ def _flights_of_images(rows: pd.DataFrame, timed: Collection[str]) -> Iterator[t
             raise BoresightError(
                 f"{name}: images have no epochs, or one, and make no trajectory: export them with --to tum"
             )
-    for name, frames in _stored_images(rows, _labels(rows, timed, distinct=False)) or ():
+    labels = _in_scale("tdb", _labels(rows, timed, distinct=False), rows, campaign)
+    for name, frames in _stored_images(rows, labels) or ():
         frames.sort(key=lambda frame: frame.time_s)
         if len({frame.time_s for frame in frames}) < len(frames):
             raise BoresightError(f"{name}: trials have one epoch: name one of each epoch by --trial, or use --to tum")
@@ -242,6 +248,17 @@ def _labels(rows: pd.DataFrame, timed: Collection[str], distinct: bool) -> _Labe
             name = PurePosixPath(row["image"] or f"{trial:07d}.tiff")
             name = name.with_stem(f"{name.stem}-t{trial:04d}") if row["image"] and repeated else name
             found[str(scenario), trial] = str(name), float(row["time_s"] if has_times else trial)
+    return found
+
+
+def _in_scale(scale: Scale, labels: _Labels, rows: pd.DataFrame, campaign: ResolvedCampaign) -> _Labels:
+    """Return labels with their epochs in a scale, where those of a scenario have another one."""
+    found = dict(labels)
+    for row in rows.to_dict("records"):
+        key = str(row["scenario"]), int(row["trial"])
+        (name, time_s), own = labels[key], scale_of(campaign.scenario(key[0]).spec)
+        if own not in (None, scale) and time_s == row["time_s"]:  # else the time is the number of the trial
+            found[key] = name, converted_s(time_s, own, scale)
     return found
 
 

@@ -8,16 +8,20 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import spiceypy
 from scipy.spatial.transform import Rotation
 from tiny_campaign import compute, write_campaign
 
 from boresight.campaign.cli import main
 from boresight.campaign.export import write_model
+from boresight.campaign.export.epochs import converted_s, scale_of
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.score import pose_of
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, Pose
+from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spc import read_sumfile
+from boresight.scenarios.spec.trajectory import SpiceTrajectorySpec
 
 LENS = """\
 body: {shape: sphere}
@@ -126,6 +130,35 @@ def test_images_along_a_table_have_its_epochs(passing, tmp_path):
         assert [read_sumfile(path).time_s for path in files] == times
     export(passing, "tum", tmp_path)
     assert np.loadtxt(tmp_path / "scene_prior.truth.tum")[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_epochs_of_sum_files_are_utc_and_those_of_kernels_tdb(passing, tmp_path):
+    """Images of SUM files, whose SPK begins 64.184 s, as of 1999 to 2005, after their UTC; and back as SUM files."""
+    export(passing, "sum", tmp_path, "--trial", 0, 1, 2)
+    (tmp_path / "scene_prior").rename(tmp_path / "set")
+    listed, times = [], []
+    for path in sorted((tmp_path / "set").iterdir()):
+        cv2.imwrite(str(path.with_suffix(".png")), np.zeros((40, 48), dtype=np.uint8))
+        listed.append(f"{{image: {path.stem}.png, sumfile: {path.name}}}")
+        times.append(read_sumfile(path).time_s)
+    images = f"images: {{folder: set, sumfiles: [{', '.join(listed)}]}}\n"
+    run = run_of(tmp_path, TABLE.partition("viewpoint")[0] + images, 3)
+    export(run, "spice", tmp_path / "kernels")
+    cover = spiceypy.spkcov(str(next((tmp_path / "kernels").glob("*.estimate.bsp"))), -999)
+    np.testing.assert_allclose(spiceypy.wnfetd(cover, 0), np.array(times)[[0, -1]] + 64.184, atol=2e-3)
+    export(run, "sum", tmp_path / "again")
+    assert sorted(read_sumfile(path).time_s for path in (tmp_path / "again").rglob("*.SUM")) == times
+
+
+def test_epochs_of_kernels_become_utc():
+    """ET of NAIF's leap seconds, naif0012.tls, at 2000-02-25 11:39:12.3545 UTC."""
+    assert converted_s(4750816.539787157, "tdb", "utc") == pytest.approx(4750752.3545, abs=1e-5)
+    spec = load_scenario("near-eros").spec
+    assert scale_of(spec) is None
+    flown = SpiceTrajectorySpec.model_construct()
+    trajectory = spec.viewpoint.trajectory.model_copy(update={"table": None, "spice": flown})
+    viewpoint = spec.viewpoint.model_copy(update={"trajectory": trajectory})
+    assert scale_of(spec.model_copy(update={"viewpoint": viewpoint})) == "tdb"
 
 
 # --- lenses -----------------------------------------------------------------------------------------------------------
