@@ -99,7 +99,7 @@ class _Sight:
     unlit (NaN without a rest). ``in_view`` is the share of the whole surface that is lit and in the frame,
     ``distance_m`` its median distance from the camera, and ``nearest_m`` the least distance of the surface from it.
     ``radiance_factor`` and ``weight``, both (N,), are I/F and projected areas of its points. ``phase_deg`` are the
-    least and the largest phase angle of the views.
+    least and the largest phase angle of the views, which ``looked`` names.
     """
 
     out: float
@@ -110,6 +110,7 @@ class _Sight:
     radiance_factor: FloatArray
     weight: FloatArray
     phase_deg: tuple[float, float]
+    looked: str
 
 
 def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | None = None) -> list[str]:
@@ -217,7 +218,7 @@ def _views_in_words(
     lit = "" if np.isnan(sight.dark) else f" and {100.0 * sight.dark:.0f} % of the rest in the dark"
     phases = " to ".join(dict.fromkeys(f"{angle:.3g}" for angle in sight.phase_deg))
     return (
-        f"{words}; phase angle {phases} deg in {_VIEWS} views; of the side that faces the camera"
+        f"{words}; phase angle {phases} deg in {sight.looked}; of the side that faces the camera"
         f" {100.0 * sight.out:.0f} % is out of the frame on average{lit}"
     )
 
@@ -305,7 +306,7 @@ def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, of_file: int, m_per
     if site is not None:
         words += f", at the site of {site.edge_m:.3g} m at most, {site.edge_m / m_per_px[0]:.2g} px"
     if edge_px <= _COARSE_PX < nearest_px:
-        words = f"{words} and {nearest_px:.2g} px at the nearest point of {_VIEWS} views"
+        words = f"{words} and {nearest_px:.2g} px at the nearest point"
     return f"{words}: coarse for this camera, as images show them; {key}" if nearest_px > _COARSE_PX else words
 
 
@@ -376,7 +377,7 @@ def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m
 
 
 def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator[_DrawnView]:
-    """Yield views that are drawn as those of trials, or spread over the frames of a sequence of images.
+    """Yield views that are drawn as those of trials, or spread over the frames of a sequence or over real images.
 
     Views along a trajectory are spread over its first ``flown`` states, whatever its order is. None of tracks alone.
     """
@@ -392,6 +393,11 @@ def _views(scenario: LoadedScenario, mesh: TriangleMesh, flown: int) -> Iterator
     elif sequence is not None and sequence.images is not None and sequence.trajectory is not None:
         frames = nominal_trajectory(sequence, MeshGround(mesh)).views(camera)
         yield from ((frames[state], 1.0, None) for state in states)
+    elif spec.images is not None:
+        from boresight.campaign.imaging.real_images import open_images  # renderers take a second to import
+
+        images = open_images(scenario)
+        yield from ((images.view(index), 1.0, None) for index in range(0, len(images), -(-len(images) // _VIEWS)))
 
 
 def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[_DrawnView]) -> _Sight:
@@ -427,20 +433,22 @@ def _sight(scenario: LoadedScenario, mesh: TriangleMesh, views: Sequence[_DrawnV
         phase_rad = np.arccos(np.clip(towards[facing][lit] @ view.sun_dir_body / distances[facing][lit], -1.0, 1.0))
         values = np.pi * brightness * cos_i[lit] * brdf_value(spec.brdf, cos_i[lit], cos_e, phase_rad)
         lit_points.append(np.stack([values, projected[facing][lit], distances[facing][lit]], axis=1))
+    looked = f"{len(views)} {'views' if spec.images is None else 'image(s)'}"
     if not in_view:
-        place = "sequence" if spec.viewpoint is None else "viewpoint"
+        place = next(key for key in ("viewpoint", "sequence", "images") if getattr(spec, key) is not None)
         raise BoresightError(
-            f"{scenario.path}: {place}: nothing of the body is in the frame in {_VIEWS} views: check"
+            f"{scenario.path}: {place}: nothing of the body is in the frame in {looked}: check"
             " camera.principal_point_px, and the attitudes of a trajectory"
         )
     found = np.concatenate(lit_points)
     return _Sight(
         1.0 - inside / seen,
         dark / inside if inside else np.nan,
-        len(found) / (_VIEWS * _POINTS),
+        len(found) / (len(views) * _POINTS),
         float(np.median(found[:, 2])) if len(found) else np.nan,
         nearest_m,
         found[:, 0],
         found[:, 1],
         (math.degrees(min(phases_rad)), math.degrees(max(phases_rad))),
+        looked,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -41,6 +42,21 @@ def test_the_dark_share_is_that_of_a_sphere(phase_deg):
     # The lit part of the disk of a far sphere is (1 + cos phase) / 2.
     assert out == 0.0
     assert dark == pytest.approx(50.0 * (1.0 - np.cos(np.radians(phase_deg))), abs=1.0)
+
+
+def test_phase_angle_and_dark_share_of_real_images_are_told(tmp_path):
+    """A half moon from 100 km, and a sign of the Sun that is wrong: a full one."""
+    header = "file,time_s,sun_body_x,sun_body_y,sun_body_z,ref_qw,ref_qx,ref_qy,ref_qz,ref_tx_m,ref_ty_m,ref_tz_m"
+    rows = [f"{name},0,{sun},1,0,0,0,0,0,1e5" for name, sun in (("a.png", "1,0,0"), ("b.png", "0,0,-1"))]
+    for images, said in ((rows[:1], "phase angle 90 deg in 1 image"), (rows, "phase angle 0 to 90 deg in 2 image")):
+        (tmp_path / "poses.csv").write_text("\n".join([header, *images, ""]))
+        for row in images:
+            cv2.imwrite(str(tmp_path / row.partition(",")[0]), np.zeros((48, 64), np.uint8))
+        keys = (BALL, *SMALL, "camera.fov_deg=1", f"images={{folder: {tmp_path}}}", "viewpoint=null", "detector=null")
+        line = preview(load_scenario("quickstart", (*keys, "pose_error=null", "lighting=null")))[0]
+        assert said in line
+        dark = float(re.findall(r"(\d+) % of the rest", line)[0])
+        assert dark == pytest.approx(50.0 if len(images) == 1 else 25.0, abs=2.5)  # of 4,000 points
 
 
 def test_half_a_disk_is_out_of_the_frame_where_its_centre_is_on_the_border():
@@ -160,7 +176,7 @@ def test_facets_that_are_coarse_at_the_nearest_point_alone_are_told(tmp_path):
     """5,120 facets of a sphere of 250 m have edges of 19 m, 14 px at 1 km above ground."""
     far = "direction: [0, 1, 0], from_altitude_m: 60000, to_altitude_m: {}, rate_m_s: 1, step_s: 1000"
     near, still = in_flight(tmp_path, far.format(1000))[3], in_flight(tmp_path, far.format(59000))[3]
-    told = float(re.search(r"px of the surface in view and (\S+) px at the nearest point of 40 views: coarse", near)[1])
+    told = float(re.search(r"px of the surface in view and (\S+) px at the nearest point: coarse", near)[1])
     edge_m = float(re.search(r"edges of (\S+) m", near)[1])
     assert told == pytest.approx(edge_m / (1000.0 * 2.0 * np.tan(np.radians(10.0)) / 512), rel=0.03)
     assert "coarse" not in still
