@@ -194,7 +194,9 @@ def _states_in_words(spec: ScenarioSpec, flown: int) -> list[str]:
     count = len(trajectory.states)
     are = "is" if flown == 1 else "are"
     some = f"{flown} of {count} states {are} flown, one in each trial; " if flown < count else f"{count} "
-    return [f"trajectory: {some}states in {axes}"]
+    times_s = trajectory.states.time_s
+    over = f" over {times_s[-1] - times_s[0]:.6g} s" if count > 1 else ""
+    return [f"trajectory: {some}states{over} in {axes}"]
 
 
 def _views_in_words(

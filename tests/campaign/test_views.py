@@ -313,7 +313,7 @@ def approach(tmp_path):
 )
 def test_the_states_of_the_trials_are_described(approach, order, trials, flown, ranges, phases):
     views, states, *_ = preview(load_scenario(approach, [f"viewpoint.trajectory.order={order}"]), trials=trials)
-    assert states == f"trajectory: {flown}states in body axes; if they are inertial, give trajectory.rotation"
+    assert states == f"trajectory: {flown}states over 9 s in body axes; if they are inertial, give trajectory.rotation"
     assert f"range {ranges} m," in views
     assert f"phase angle {phases} deg" in views
 
@@ -321,7 +321,7 @@ def test_the_states_of_the_trials_are_described(approach, order, trials, flown, 
 def test_inertial_states_are_described_as_such(approach):
     rotation = "viewpoint.trajectory.rotation={pole_ra_deg: 0, pole_dec_deg: 90, rate_deg_day: 0}"
     said = preview(load_scenario(approach, [rotation]))[1]
-    assert said == "trajectory: 10 states in inertial axes, turned to body axes by trajectory.rotation"
+    assert said == "trajectory: 10 states over 9 s in inertial axes, turned to body axes by trajectory.rotation"
 
 
 def test_states_of_kernels_are_in_the_frame_of_the_body(approach):
@@ -331,14 +331,14 @@ def test_states_of_kernels_are_in_the_frame_of_the_body(approach):
     trajectory = scenario.spec.viewpoint.trajectory.model_copy(update={"table": None, "spice": kernels})
     viewpoint = scenario.spec.viewpoint.model_copy(update={"trajectory": trajectory})
     read = replace(scenario, spec=scenario.spec.model_copy(update={"viewpoint": viewpoint}))
-    assert preview(read)[1] == "trajectory: 10 states in ITOKAWA_FIXED"
+    assert preview(read)[1] == "trajectory: 10 states over 9 s in ITOKAWA_FIXED"
 
 
 def test_a_sequence_flies_all_states_whatever_the_trials_are():
     flight = "hover: {position_m: [600, 0, 0], duration_s: 300, step_s: 100}"
     given = f"sequence={{sphere_radius_m: 190, trajectory: {{{flight}}}}}"
     said = preview(load_scenario("apophis-sphere-sequence", [given]), trials=2)[1]
-    assert said == "trajectory: 4 states in body axes; if they are inertial, give trajectory.rotation"
+    assert said == "trajectory: 4 states over 300 s in body axes; if they are inertial, give trajectory.rotation"
 
 
 @pytest.mark.parametrize(
