@@ -85,7 +85,7 @@ def export(
     timed = set(every.loc[every["image"].ne("") | every["time_s"].ne(0.0), "scenario"])
     if to == "spice":
         return _kernels(folder, rows, timed, out, shown, origin or Origin())
-    return _poses(folder, rows, _labels(rows, timed, distinct=to == "tum"), to, out, shown)
+    return _poses(folder, rows, timed, to, out, shown)
 
 
 def _latex(folder: RunFolder, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
@@ -134,12 +134,13 @@ def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
 def _poses(
     folder: RunFolder,
     rows: pd.DataFrame,
-    labels: _Labels,
+    timed: Collection[str],
     to: str,
     out: Path,
     shown: Callable[[Sequence[Case]], Iterable[Case]],
 ) -> list[Path]:
     """Write trajectories, models or SUM files; trials are only run again for what is not stored of them."""
+    labels = _labels(rows, timed, distinct=to == "tum")
     stored = _stored_images(rows, labels) if to == "tum" else None
     if stored is not None:
         return [path for name, frames in stored for path in write_trajectory(name, frames, out)]
@@ -160,7 +161,7 @@ def _poses(
                 " pixels are not those of the images: export with --to colmap or tum"
             )
     if to == "sum":
-        labels = _in_scale("utc", labels, rows, campaign)
+        labels = _in_scale("utc", labels, timed, campaign)
     cases, trajectory = shown(cases_of(rows)), show.trajectory
     if to in _MODELS:
         for name, model in _posed(campaign, folder, show, cases, labels):
@@ -218,7 +219,7 @@ def _flights_of_images(
             raise BoresightError(
                 f"{name}: images have no epochs, or one, and make no trajectory: export them with --to tum"
             )
-    labels = _in_scale("tdb", _labels(rows, timed, distinct=False), rows, campaign)
+    labels = _in_scale("tdb", _labels(rows, timed, distinct=False), timed, campaign)
     for name, frames in _stored_images(rows, labels) or ():
         frames.sort(key=lambda frame: frame.time_s)
         if len({frame.time_s for frame in frames}) < len(frames):
@@ -251,14 +252,14 @@ def _labels(rows: pd.DataFrame, timed: Collection[str], distinct: bool) -> _Labe
     return found
 
 
-def _in_scale(scale: Scale, labels: _Labels, rows: pd.DataFrame, campaign: ResolvedCampaign) -> _Labels:
-    """Return labels with their epochs in a scale, where those of a scenario have another one."""
+def _in_scale(scale: Scale, labels: _Labels, timed: Collection[str], campaign: ResolvedCampaign) -> _Labels:
+    """Return labels with the epochs of the scenarios ``timed`` in a scale, where they are in another one."""
+    scales = {name: scale_of(campaign.scenario(name).spec) for name in timed}
     found = dict(labels)
-    for row in rows.to_dict("records"):
-        key = str(row["scenario"]), int(row["trial"])
-        (name, time_s), own = labels[key], scale_of(campaign.scenario(key[0]).spec)
-        if own not in (None, scale) and time_s == row["time_s"]:  # else the time is the number of the trial
-            found[key] = name, converted_s(time_s, own, scale)
+    for (scenario, trial), (name, time_s) in labels.items():
+        own = scales.get(scenario)
+        if own not in (None, scale):
+            found[scenario, trial] = name, converted_s(time_s, own, scale)
     return found
 
 

@@ -13,13 +13,10 @@ _S_PER_DAY = 86400.0
 
 def scale_of(spec: ScenarioSpec) -> Scale | None:
     """Return the scale of a scenario's epochs: TDB of kernels, UTC of SUM files; None of tables, which do not say."""
-    trajectory = None if spec.viewpoint is None else spec.viewpoint.trajectory
-    kernels = trajectory is not None and trajectory.spice is not None
-    if spec.images is not None:
-        kernels = spec.images.spice is not None
-        if spec.images.sumfiles is not None:
-            return "utc"
-    return "tdb" if kernels else None
+    if spec.images is not None and spec.images.sumfiles is not None:
+        return "utc"
+    flown = None if spec.viewpoint is None else spec.viewpoint.trajectory
+    return "tdb" if any(one is not None and one.spice is not None for one in (spec.images, flown)) else None
 
 
 def converted_s(time_s: float, of: Scale, to: Scale) -> float:
