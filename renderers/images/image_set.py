@@ -121,10 +121,7 @@ def check_camera(camera: Camera, known: Camera, owner: str, source: str) -> None
             f"camera: {camera.width_px} x {camera.height_px} pixels, but {owner} has"
             f" {known.width_px} x {known.height_px}"
         )
-    # Compared by what both do with the same pixels: equal cameras may be written with other numbers.
-    steps = np.linspace(0.0, 1.0, 9)
-    uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
-    off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
+    off_px = apart_px(camera, known)
     # Written so that NaN, a pixel that one lens cannot reach, is a difference.
     if not off_px <= CAMERA_TOLERANCE_PX:
         raise BoresightError(
@@ -132,6 +129,16 @@ def check_camera(camera: Camera, known: Camera, owner: str, source: str) -> None
             f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
             f" {_lens_keys(known.distortion)}"
         )
+
+
+def apart_px(camera: Camera, known: Camera) -> float:
+    """Return how far two cameras of one size are apart at most, px.
+
+    They are compared by what both do with the same pixels: equal cameras may be written with other numbers.
+    """
+    steps = np.linspace(0.0, 1.0, 9)
+    uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
+    return float(np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max())
 
 
 def _lens_keys(lens: Lens | None) -> str:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.renderers.images import colmap
-from boresight.renderers.images.image_set import WholeSet, check_camera, check_size
+from boresight.renderers.images.image_set import CAMERA_TOLERANCE_PX, WholeSet, apart_px, check_camera, check_size
 from boresight.renderers.images.product import image_files, read_any_image
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file, is_there
@@ -214,7 +214,7 @@ def _table_of_colmap(path: Path, spec: ColmapSpec, prefix: str, camera: Camera) 
         taken[name] = one.image
         own, pose = model[name]
         first, _ = model[next(iter(taken))]
-        if own != first:
+        if not apart_px(first, own) <= CAMERA_TOLERANCE_PX:
             raise BoresightError(
                 f"{path}: {one.image} and {spec.images[0].image} have other cameras: a scenario has one, so give each a"
                 " scenario of its own"

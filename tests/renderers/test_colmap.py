@@ -84,9 +84,13 @@ def test_two_images_have_one_camera(tmp_path):
     cameras, images = tmp_path / "cameras.txt", tmp_path / "images.txt"
     cameras.write_text(cameras.read_text() + "8 PINHOLE 1000 800 1400 1490 500 380\n")
     images.write_text(images.read_text().replace("7 b.png", "8 b.png"))
-    both = [{"image": name, "sun_body": [0, 3, 4]} for name in ("a.png", "b.png")]
-    with pytest.raises(BoresightError, match=r"b\.png and a\.png have other cameras: a scenario has one"):
+    both = [{"image": f"images/{name}", "sun_body": [0, 3, 4]} for name in ("a.png", "b.png")]
+    with pytest.raises(BoresightError, match=r"images/b\.png and images/a\.png have other cameras: a scenario has one"):
         open_set(tmp_path, images=both)
+    # Cameras that were adjusted image by image are one within the tolerance.
+    cameras.write_text(cameras.read_text().replace("1400", "1500.001"))
+    cv2.imwrite(str(tmp_path / "images" / "b.png"), np.zeros((800, 1000), np.uint8))
+    assert open_set(tmp_path, images=both).names == ("images/a.png", "images/b.png")
 
 
 LENSES = (
