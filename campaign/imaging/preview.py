@@ -343,15 +343,14 @@ def _smear_in_words(scenario: LoadedScenario, detector: DetectorSpec, views: Seq
     from boresight.renderers.artefacts import MOST_SMEAR_PX  # OpenCV and SciPy, of smear alone
     from boresight.renderers.detector import Detector
 
-    lengths_px = []
+    lengths_px, exposing = [], Detector(detector)
     for trial, (view, _, velocity_m_s) in enumerate(views):
         rng = generator(0, Stream.DETECTOR, trial)
-        motion = Detector(detector).motion(drawn(detector.exposure_s, rng), view, velocity_m_s, rng)
+        motion = exposing.motion(drawn(detector.exposure_s, rng), view, velocity_m_s, rng)
         lengths_px.append(0.0 if motion is None else motion.length_px)
     most_px, failed = max(lengths_px), sum(length_px > MOST_SMEAR_PX for length_px in lengths_px)
-    words = (
-        f"motion moves images by {np.median(lengths_px):.4g} px (median) and {most_px:.4g} px at most in {_VIEWS} views"
-    )
+    typical_px = np.median(lengths_px)
+    words = f"motion moves images by {typical_px:.4g} px (median) and {most_px:.4g} px at most in {len(views)} views"
     if not failed:
         return words
     words += f", above {MOST_SMEAR_PX:g} px in {failed}, where trials fail: give lower rates or a shorter exposure_s"

@@ -23,7 +23,7 @@ METHOD_VERSION = 2
 _LEAST_GAIN = 0.003  # share of its facets that a further maplet must cover for the first time
 _LEAST_FACING = 0.1  # cosine of the angle between a facet's normal and a maplet's
 _EDGE_TOLERANCE = 1e-9
-_BLOCK = 256
+_BLOCK = 256  # points that are passed over together
 
 
 class MapletOptions(SpecModel):

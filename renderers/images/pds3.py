@@ -34,7 +34,7 @@ _TYPES = {
     **dict.fromkeys(("IEEE_REAL", "REAL", "FLOAT", "MAC_REAL", "SUN_REAL"), ">f"),
     "PC_REAL": "<f",
 }
-# Stored numbers that stand for no brightness. A constant for pixels that are too bright may be one.
+# Keywords of stored numbers that stand for no brightness. A pixel of HIGH_..._SATURATION is bright, and stays.
 MARKS = (
     "MISSING_CONSTANT", "INVALID_CONSTANT", "ERROR_CONSTANT", "UNKNOWN_CONSTANT", "NOT_APPLICABLE_CONSTANT",
     "SATURATED_CONSTANT", "LOW_INSTRUMENT_SATURATION", "LOW_REPRESENTATION_SATURATION",

@@ -126,7 +126,7 @@ def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
 
 
 def test_the_silhouette_takes_what_errors_of_the_pose_leave_as_large_in_every_direction():
-    """What the derivatives leave counts in every direction, not only along the line where single errors leave it."""
+    """Errors of the pose that the derivatives do not explain widen the covariance in every direction."""
     truth, seen = observed(0, size_px=100.0, range_sigma=0.05)
     parts = Assets().mesh_renderer(BODY), BODY, BODY.radius_m, SightOptions()
     narrow, wide = (

@@ -183,30 +183,7 @@ MISSION = """<?xml version="1.0" encoding="utf-8"?>
     </pds:Observing_System>
     <pds:Target_Identification><pds:name>Didymos</pds:name><pds:type>Asteroid</pds:type></pds:Target_Identification>
     <pds:Discipline_Area>
-      <disp:Display_Settings>
-        <pds:Local_Internal_Reference>
-          <pds:local_identifier_reference>backplane</pds:local_identifier_reference>
-          <pds:local_reference_type>display_settings_to_array</pds:local_reference_type>
-        </pds:Local_Internal_Reference>
-        <disp:Display_Direction>
-          <disp:horizontal_display_axis>Sample</disp:horizontal_display_axis>
-          <disp:horizontal_display_direction>Left to Right</disp:horizontal_display_direction>
-          <disp:vertical_display_axis>Line</disp:vertical_display_axis>
-          <disp:vertical_display_direction>Top to Bottom</disp:vertical_display_direction>
-        </disp:Display_Direction>
-      </disp:Display_Settings>
-      <disp:Display_Settings>
-        <pds:Local_Internal_Reference>
-          <pds:local_identifier_reference>image</pds:local_identifier_reference>
-          <pds:local_reference_type>display_settings_to_array</pds:local_reference_type>
-        </pds:Local_Internal_Reference>
-        <disp:Display_Direction>
-          <disp:horizontal_display_axis>Sample</disp:horizontal_display_axis>
-          <disp:horizontal_display_direction>Left to Right</disp:horizontal_display_direction>
-          <disp:vertical_display_axis>Line</disp:vertical_display_axis>
-          <disp:vertical_display_direction>Bottom to Top</disp:vertical_display_direction>
-        </disp:Display_Direction>
-      </disp:Display_Settings>
+      DISPLAYS
     </pds:Discipline_Area>
   </pds:Observation_Area>
   <pds:File_Area_Observational>
@@ -225,6 +202,18 @@ MISSION = """<?xml version="1.0" encoding="utf-8"?>
   </pds:File_Area_Observational_Supplemental>
 </pds:Product_Observational>
 """
+DISPLAY = """<disp:Display_Settings>
+        <pds:Local_Internal_Reference>
+          <pds:local_identifier_reference>{name}</pds:local_identifier_reference>
+          <pds:local_reference_type>display_settings_to_array</pds:local_reference_type>
+        </pds:Local_Internal_Reference>
+        <disp:Display_Direction>
+          <disp:horizontal_display_axis>Sample</disp:horizontal_display_axis>
+          <disp:horizontal_display_direction>Left to Right</disp:horizontal_display_direction>
+          <disp:vertical_display_axis>Line</disp:vertical_display_axis>
+          <disp:vertical_display_direction>{down}</disp:vertical_display_direction>
+        </disp:Display_Direction>
+      </disp:Display_Settings>"""
 ARRAY = """<pds:Array_2D_Image>
       <pds:name>{name}</pds:name><pds:local_identifier>{name}</pds:local_identifier>
       <pds:offset unit="byte">{offset}</pds:offset><pds:axes>2</pds:axes>
@@ -243,7 +232,12 @@ def mission_product(folder, kind, code):
     arrays = [ARRAY.format(name="image", offset=10, kind=kind), ARRAY.format(name="backplane", offset=0, kind=kind)]
     (folder / "header.txt").write_bytes(b"SIMPLE = T")
     (folder / "image.dat").write_bytes(packed(code))
-    (folder / "m.xml").write_text(MISSION.replace("ARRAYS", "\n    ".join(arrays)), encoding="utf-8")
+    displays = [
+        DISPLAY.format(name="backplane", down="Top to Bottom"),
+        DISPLAY.format(name="image", down="Bottom to Top"),
+    ]
+    label = MISSION.replace("DISPLAYS", "\n      ".join(displays)).replace("ARRAYS", "\n    ".join(arrays))
+    (folder / "m.xml").write_text(label, encoding="utf-8")
     return folder / "m.xml"
 
 
