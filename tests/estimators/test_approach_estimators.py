@@ -368,7 +368,10 @@ def test_the_limb_of_a_body_larger_than_the_frame():
         truth, seen = observed(trial, 260.0)
         found = estimate("limb", seen)
         error = CAMERA.project(found.pose.translation_m) - CAMERA.project(truth.translation_m)
-        assert found.status == "ok" and np.linalg.norm(error) < 1.0, trial
+        along = CAMERA.jacobian(truth.translation_m)
+        square = error @ np.linalg.solve(along @ found.covariance[3:, 3:] @ along.T, error) / 2.0
+        # The largest error is that of 14 points.
+        assert found.status == "ok" and np.linalg.norm(error) < 1.2 and square < 2.5, trial
 
 
 @pytest.mark.parametrize("turn_rad", [np.pi / 2.0, np.pi])

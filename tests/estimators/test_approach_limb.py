@@ -3,14 +3,18 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
+from scipy.spatial.distance import pdist, squareform
+from scipy.stats import multivariate_normal
 from test_approach_geometry import CAMERA, MESH, POSE, dual_outline
 
 from boresight.estimators.approach import limb
 from boresight.estimators.approach.body import Patch
 from boresight.estimators.approach.ellipsoid import Ellipsoid
-from boresight.estimators.approach.limb import limb_covariance
+from boresight.estimators.approach.fusion import grouped_covariance
+from boresight.estimators.approach.limb_errors import correlated_covariance, limb_covariance, scatter_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
 from boresight.estimators.approach.profile import ACROSS_PX, DEPTHS_PX, blurred, fit_limb, sampled, second_law
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -152,7 +156,80 @@ def test_the_closed_form_of_an_arc_is_the_fit_s():
     points = limb.LimbEstimator(ball, limb.LimbOptions())._limb_at(scene, pose, np.array([200.0, 200.0]))
     found = 0.1**2 * np.linalg.inv(points.by_position.T @ points.by_position)
     half = np.arccos(points.normals[:, 0].min())
-    stated = limb.limb_covariance(len(points.ray), 0.1, half, 100.0, 2000.0, 2000.0)
+    stated = limb_covariance(len(points.ray), 0.1, half, 100.0, 2000.0, 2000.0)
     assert 1.2 < half < np.pi / 2
     np.testing.assert_allclose(np.diag(found), np.diag(stated), rtol=0.15)
     assert found[0, 2] == pytest.approx(stated[0, 2], rel=0.15)
+
+
+def outline_errors(rng, count, length_deg, share):
+    """Errors of a half circle's points along their normals, of 0.3 px; directions and derivatives by a position."""
+    theta = np.linspace(0.0, np.pi, count)
+    directions = np.column_stack([np.cos(theta), np.sin(theta)])
+    squares = squareform(pdist(directions)) ** 2
+    kernel = share / (1.0 + squares / np.radians(length_deg) ** 2) + (1.0 - share) * np.eye(count)
+    return (
+        0.3 * np.linalg.cholesky(kernel) @ rng.normal(size=count),
+        directions,
+        np.column_stack([directions, np.ones(count)]),
+    )
+
+
+def test_correlated_errors_by_the_density_of_contrasts():
+    """Contrasts that the unknowns do not move are normal: their density by SciPy, integrated over the scale."""
+    errors, directions, by_position = outline_errors(np.random.default_rng(8), 14, 25.0, 0.75)
+    size = np.arange(1.0, 15.0)
+    contrasts = null_space(by_position.T)
+    left = errors - by_position @ np.linalg.lstsq(by_position, errors)[0]
+    total, expected, scales = 0.0, np.zeros((14, 14)), np.geomspace(0.01, 20.0, 400)
+    for share in (0.0, 0.25, 0.5, 0.75, 0.9, 0.97):
+        for length_deg in (3.0, 6.0, 12.0, 25.0, 50.0, 100.0):
+            alike = 1.0 / (1.0 + squareform(pdist(directions)) ** 2 / np.radians(length_deg) ** 2)
+            unit = share * alike + (1.0 - share) * np.diag(size.mean() / size)
+            normal = multivariate_normal(cov=contrasts.T @ unit @ contrasts)
+            weight = normal.pdf(np.outer(1.0 / scales, contrasts.T @ left)) / scales**11
+            total += weight.sum()
+            expected += (weight * scales**2).sum() * unit
+    found = correlated_covariance(left, by_position, directions, size)
+    np.testing.assert_allclose(found, expected / total, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("length_deg", "share"), [(3.0, 0.5), (12.0, 0.9), (25.0, 0.9), (50.0, 0.75)])
+def test_a_fit_to_correlated_errors_has_the_stated_covariance(length_deg, share):
+    """Simulated: NEES over 3 of the position by an unweighted fit. Arcs as groups state too small a covariance."""
+    rng, squares, by_arcs = np.random.default_rng(9), [], []
+    for _ in range(300):
+        errors, directions, by_position = outline_errors(rng, 128, length_deg, share)
+        inverse = np.linalg.inv(by_position.T @ by_position)
+        moved = inverse @ by_position.T @ errors
+        left = errors - by_position @ moved
+        scatter, _ = scatter_covariance(left, by_position, directions, np.arange(128), np.ones(128))
+        arcs = grouped_covariance(by_position * left[:, None], np.arange(128) * 6 // 128, 3)
+        squares.append(moved @ np.linalg.solve(inverse @ scatter @ inverse, moved) / 3.0)
+        by_arcs.append(moved @ np.linalg.solve(inverse @ arcs @ inverse, moved) / 3.0)
+    # The least is that of nearly independent errors, for which correlations that reach far cannot be excluded.
+    assert 0.2 < np.mean(squares) < 2.3 and np.median(squares) < 1.2
+    assert np.mean(by_arcs) > 9.0
+
+
+def test_few_points_have_the_scatter_of_their_weighted_errors():
+    """Up to 32 neighbours are no groups, so that the covariance of the sum follows from that of the errors."""
+    errors, directions, by_position = outline_errors(np.random.default_rng(10), 24, 12.0, 0.5)
+    weight, ray = np.linspace(0.2, 5.0, 24), np.arange(24)
+    covariance = correlated_covariance(errors, by_position, directions, weight / 5.0)
+    scores = weight[:, None] * by_position
+    found, sigma = scatter_covariance(errors, by_position, directions, ray, weight)
+    np.testing.assert_allclose(found, scores.T @ covariance @ scores)
+    assert sigma == pytest.approx(np.sqrt(np.diag(covariance).mean()))
+    perfect, least = scatter_covariance(0.0 * errors, by_position, directions, ray, weight)
+    assert 0.0 < np.trace(perfect) < 1e-4 * np.trace(found) and 5e-4 < least < 2e-3
+
+
+def test_points_on_opposite_sides_are_no_neighbours():
+    """The frame leaves two pieces of an outline, with a point and its opposite: they have no mean direction."""
+    ray = np.concatenate([np.arange(11), np.arange(74, 127)])
+    directions = ray_directions(128)[ray]
+    by_position = np.column_stack([directions, np.ones(64)])
+    errors = np.random.default_rng(11).normal(0.0, 0.3, 64)
+    found, sigma = scatter_covariance(errors, by_position, directions, ray, np.ones(64))
+    assert np.isfinite(found).all() and 0.2 < sigma < 0.6
