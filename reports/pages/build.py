@@ -22,7 +22,14 @@ from boresight.reports.kinds import Content, brief_grids, report_figures, report
 from boresight.reports.kinds.ranges import OVER_RANGE
 from boresight.reports.kinds.requirements import judged
 from boresight.reports.kinds.tornado import TORNADO
-from boresight.reports.pages.content import content_of, estimator_results, headline, read_content, verdict_counts
+from boresight.reports.pages.content import (
+    content_of,
+    covariance_line,
+    estimator_results,
+    headline,
+    read_content,
+    verdict_counts,
+)
 from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text, write_document
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines, single_draws
@@ -115,6 +122,7 @@ def _card(content: Content) -> Iterator[tuple[str, str]]:
     for words, counted in verdicts.items():
         yield "Required", f"{words}: {', '.join(f'{n} {verdict}' for verdict, n in sorted(counted.items()))}"
     yield from [("Result", result)] if (result := headline(run)) else []
+    yield from [("Covariances", line)] if (line := covariance_line(run)) else []
     yield from (("On board", line) for line in known_lines(run))
     yield "Trials", trials
     yield from [("Intervals", database_line(run))] if database_line(run) else []

@@ -22,7 +22,7 @@ from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
 from boresight.reports.schema.records import CONTROL, Record, count_of
 from boresight.reports.schema.tables import kind_schema
-from boresight.reports.statistics.consistency import consistency_records
+from boresight.reports.statistics.consistency import consistency_records, mean_of_all
 from boresight.reports.statistics.measured import MEDIAN, measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.requirements import read_requirement
@@ -39,6 +39,7 @@ from boresight.reports.verdicts import (
 from boresight.scenarios.errors import BoresightError
 
 _MOST_IN_HEADLINE = 3
+_MOST_COVARIANCES = 12
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -185,6 +186,18 @@ def headline(run: RunData) -> str:
             parts.append(f"{solved}, success {success}/{one.n}, {median}, prior {number(one.prior)}{unit}")
     several = len(run.manifest.scenarios)
     return "; ".join(parts) + (f"; over {several} scenarios" if parts and several > 1 else "")
+
+
+def covariance_line(run: RunData) -> str:
+    """Say of each estimator's covariances on one line whether they hold; '' without any."""
+    found = mean_of_all(run)
+    if not 0 < len(found) <= _MOST_COVARIANCES:
+        return "see the table of consistency" if found else ""
+    parts = []
+    for name, mean in found.items():
+        small, large = mean.low is not None and mean.low > 1.0, mean.high is not None and mean.high < 1.0
+        parts.append(f"{name} {interval(mean)}{', too small' if small else ', too large' if large else ''}")
+    return f"mean NEES over the expected one (1 where they hold): {'; '.join(parts)}"
 
 
 def verdict_counts(content: Content) -> str:

@@ -122,6 +122,20 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
         yield from _some(NIS, 1, wide.dropna(), NIS, wide.dropna()[_NIS_DEGREES])
 
 
+def mean_of_all(run: RunData) -> dict[str, Measured]:
+    """Return the mean NEES over its expectation of each estimator that states a covariance, all scenarios together.
+
+    Of sequences it is that after the last revolution. Trials of the same number count as one unit.
+    """
+    found: dict[str, Measured] = {}
+    for kind in normalised_errors(run):
+        if kind.name != NIS:
+            for estimator, own in kind.table.groupby("estimator", sort=False):
+                ratios = own["ratio"].to_numpy(np.float64) / kind.expected
+                found[str(estimator)] = measure(ratios, clusters_of(run, own), (MEAN,))[0]
+    return {name: found[name] for name in run.manifest.estimators if name in found}
+
+
 def _some(
     name: str, expected: int, table: pd.DataFrame, column: str, degrees: int | pd.Series
 ) -> Iterator[NormalisedErrors]:

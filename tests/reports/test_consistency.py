@@ -1,11 +1,14 @@
 """Covariances and bounds held against errors whose distribution is known."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import chi2, kstest
 from stored_runs import RunBuilder, find, pose_error
 
+from boresight.reports.pages.content import covariance_line
 from boresight.reports.run.data import read_run
 from boresight.reports.run.outcomes import revolution_ends
 from boresight.reports.statistics.consistency import (
@@ -62,6 +65,19 @@ def test_a_true_covariance_is_found_true(builder):
     assert mean.n == TRIALS
     assert value(records, NEES, INSIDE).value == pytest.approx(0.95, abs=0.03)
     assert value(records, "position_over_sigma", RATIO).value == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("scale", "word"), [(0.5, ", too large"), (1.0, ""), (2.0, ", too small")])
+def test_the_top_of_the_page_says_whether_covariances_hold(builder, scale, word):
+    run = store(builder, scale)
+    mean = float(run.rows["nees"][1:].mean()) / 6.0
+    found = re.fullmatch(r"mean NEES .*: landmark-harris (\S+) \[(\S+), (\S+)\](.*)", covariance_line(run))
+    assert float(found[1]) == pytest.approx(mean, rel=0.005) and float(found[2]) < mean < float(found[3])
+    assert found[4] == word
+
+
+def test_without_covariances_the_page_says_nothing_of_them(builder):
+    assert covariance_line(store(builder, 1.0, known=False)) == ""
 
 
 def test_a_covariance_that_is_too_small_shows(builder):
