@@ -14,7 +14,7 @@ from boresight.reports.kinds import Content, report_kind
 from boresight.reports.kinds.pooled import ONLY_ERRORS, WHERE, cell_records, is_huge, is_wide
 from boresight.reports.kinds.sequence import without_pooled
 from boresight.reports.published import Comparison, load_published
-from boresight.reports.run.clusters import image_set
+from boresight.reports.run.clusters import clusters_of, image_set
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
 from boresight.reports.run.outcomes import unsolved_lines
@@ -22,8 +22,8 @@ from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
 from boresight.reports.schema.records import CONTROL, Record, count_of
 from boresight.reports.schema.tables import kind_schema
-from boresight.reports.statistics.consistency import consistency_records, mean_of_all
-from boresight.reports.statistics.measured import MEDIAN, measure_run
+from boresight.reports.statistics.consistency import consistency_records, nees_of_all
+from boresight.reports.statistics.measured import MEAN, MEDIAN, measure, measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.requirements import read_requirement
 from boresight.reports.statistics.roc import outlier_records
@@ -190,11 +190,12 @@ def headline(run: RunData) -> str:
 
 def covariance_line(run: RunData) -> str:
     """Say of each estimator's covariances on one line whether they hold; '' without any."""
-    found = mean_of_all(run)
+    found = nees_of_all(run)
     if not 0 < len(found) <= _MOST_COVARIANCES:
         return "see the table of consistency" if found else ""
     parts = []
-    for name, mean in found.items():
+    for name, own in found.items():
+        mean = measure(own["ratio"].to_numpy(), clusters_of(run, own), (MEAN,))[0]
         small, large = mean.low is not None and mean.low > 1.0, mean.high is not None and mean.high < 1.0
         parts.append(f"{name} {interval(mean)}{', too small' if small else ', too large' if large else ''}")
     return f"mean NEES over the expected one (1 where they hold): {'; '.join(parts)}"

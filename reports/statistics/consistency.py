@@ -122,17 +122,16 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
         yield from _some(NIS, 1, wide.dropna(), NIS, wide.dropna()[_NIS_DEGREES])
 
 
-def mean_of_all(run: RunData) -> dict[str, Measured]:
-    """Return the mean NEES over its expectation of each estimator that states a covariance, all scenarios together.
+def nees_of_all(run: RunData) -> dict[str, pd.DataFrame]:
+    """Return the NEES of each estimator that states a covariance, all scenarios together.
 
-    Of sequences it is that after the last revolution. Trials of the same number count as one unit.
+    The column ``ratio`` is the NEES over the expected one. Of sequences it is that after the last revolution.
     """
-    found: dict[str, Measured] = {}
+    found: dict[str, pd.DataFrame] = {}
     for kind in normalised_errors(run):
         if kind.name != NIS:
-            for estimator, own in kind.table.groupby("estimator", sort=False):
-                ratios = own["ratio"].to_numpy(np.float64) / kind.expected
-                found[str(estimator)] = measure(ratios, clusters_of(run, own), (MEAN,))[0]
+            table = kind.table.assign(ratio=kind.table["ratio"] / kind.expected)
+            found |= {str(name): own for name, own in table.groupby("estimator", sort=False)}
     return {name: found[name] for name in run.manifest.estimators if name in found}
 
 
