@@ -60,7 +60,7 @@ class LimbOptions(SpecModel):
         description="Standard deviation of an error of all points along their normals, by point spread and reflectance",
     )
     # An outline is where heights are greatest. In renderings of four bodies, 30 to 300 px across, the shift is 0.6 of
-    # the errors outwards where the shape on board lacks the relief, 0.2 inwards where it has other relief, 0 if exact.
+    # the errors outwards where the onboard shape lacks the relief, 0.2 inwards where it has other relief, 0 if exact.
     shift: float = Field(
         0.4, ge=0, description="The same by unknown relief, over the errors of the points; 0 for a shape that is exact"
     )
