@@ -320,26 +320,56 @@ def _draw_births(
 def accumulated_errors_px(
     errors: TrackErrorsSpec, simulated: SimulatedTracks, poses: Sequence[Pose], camera: Camera, rng: np.random.Generator
 ) -> Iterator[FloatArray]:
-    """Yield for each frame, (n, 2), the errors of its tracks that accumulate; they are zero where a track begins.
+    """Yield for each frame, (n, 2), the errors of its tracks that accumulate; they are zero where a landmark is new.
 
     From frame to frame a pixel takes a random step of its own. Common to all tracks are a step of ``drift_px``, drawn
     for the sequence, and a step towards the principal point, by the share ``contraction`` of the distance of the true
-    point from it.
+    point from it. On real tracks these grow with the change of the view: where a landmark is found again, they are
+    those of the turn since the track was lost, or, where the view is back, of the turn from its first view.
     """
     # From a stream of its own, so that the other draws do not depend on it.
     drift_px = errors.drift_px * rng.spawn(1)[0].normal(size=2)
     rng.normal(size=3)  # so that walks are those of the rows that were made so far
+    turns = _Turns(poses)
     moved_px = np.zeros((len(simulated.points_m), 2))
     previous = np.empty(0, dtype=np.int64)
-    for tracks, pose in zip(simulated.seen, poses, strict=True):
+    first: dict[int, int] = {}
+    last: dict[int, tuple[int, int]] = {}
+    for number, (tracks, pose) in enumerate(zip(simulated.seen, poses, strict=True)):
         # Drawn for all tracks, so that it does not matter which go on.
         steps = errors.walk_px * noise(errors.student_t, (len(tracks), 2), rng)
         old = np.isin(tracks, previous)
         true = camera.project(pose.transform(simulated.points_m[tracks]))
-        steps += drift_px - errors.contraction * (true - [camera.cx_px, camera.cy_px])
-        moved_px[tracks[old]] += steps[old]
+        common = drift_px - errors.contraction * (true - [camera.cx_px, camera.cy_px])
+        moved_px[tracks[old]] += (steps + common)[old]
+        landmarks = simulated.landmarks[tracks].tolist()
+        for row in np.flatnonzero(~old):
+            began = first.setdefault(landmarks[row], number)
+            if began == number:
+                continue
+            track, seen = last[landmarks[row]]
+            turn, before = turns.between(began, number), turns.between(began, seen)
+            start_px, since = (moved_px[track], turn - before) if turn > before else (np.zeros(2), turn)
+            moved_px[tracks[row]] = start_px + np.sqrt(abs(since)) * steps[row] + since * common[row]
+        last.update(zip(landmarks, zip(tracks.tolist(), itertools.repeat(number)), strict=True))
         yield moved_px[tracks]
         previous = tracks
+
+
+class _Turns:
+    """Turns of the camera about the body's origin, in mean steps; negative against the motion."""
+
+    def __init__(self, poses: Sequence[Pose]) -> None:
+        self._places = np.array([pose.camera_position_m for pose in poses])
+        self._axis = np.cross(self._places[:-1], self._places[1:]).sum(axis=0)
+        self._step_rad = float(np.mean([angle_between(*pair) for pair in itertools.pairwise(self._places)] or [0.0]))
+
+    def between(self, one: int, other: int) -> float:
+        """Return the turn from one frame to another; their distance where the camera never turns."""
+        if not self._step_rad:
+            return float(other - one)
+        pair = self._places[one], self._places[other]
+        return float(np.copysign(angle_between(*pair), self._axis @ np.cross(*pair))) / self._step_rad
 
 
 def noise(student_t: float | None, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from slam_sequences import CAMERA, Recipe, central_differences, make_sequence, with_track_errors
 
@@ -15,6 +16,7 @@ from boresight.estimators.slam.adjustment.problem import QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, minimise, view_covariance
 from boresight.estimators.slam.adjustment.track_errors import COMMON
+from boresight.scenarios.observation import TrackFrame
 
 WALK_PX, CONTRACTION, DRIFT_PX = 0.4, 1e-3, 0.1
 POSITION_M = 0.5
@@ -171,6 +173,42 @@ def test_the_steps_of_a_track_add_up_from_its_second_sighting_on(small):
             total, seen = total + seen * np.array(step), True
             found = slam_map.errors.moved(number, [track])[0] * slam_map.errors.common_m
             np.testing.assert_allclose(found, total, rtol=1e-12, atol=1e-15)
+
+
+def test_recognised_tracks_begin_with_the_errors_of_the_turn_since_the_first_view():
+    """The camera circles by steps of 30 deg: a gap of three frames, then a revolution less one step."""
+    seen = {1: 0, 2: 0, 5: 1, 6: 1, 12: 2, 13: 2}
+    slam_map = SlamMap(CAMERA)
+    errors, uv = slam_map.errors, np.array([[350.0, 400.0]])
+    for k in range(14):
+        R = Rotation.from_euler("y", 30.0 * k, degrees=True).as_matrix()
+        tracks, pairs = ([seen[k]], [(1, 0)] if k == 5 else [(2, 1)] if k == 12 else []) if k in seen else ([], [])
+        frame = TrackFrame(
+            100.0 * k, R, np.array(tracks, np.int64), uv[: len(tracks)], 0.5, np.zeros(3), np.eye(3),
+            again=np.array(pairs, np.int64).reshape(-1, 2), walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
+        )  # fmt: skip
+        errors.add(frame)
+        errors.resume(frame)
+        slam_map.frames[k] = replace(frame, tracks=np.zeros(len(tracks), np.int64))
+        slam_map.positions_m[k] = R.T @ [0.0, 0.0, -1000.0]
+    slam_map.points_m[0] = np.zeros(3)
+    added = errors.extended(slam_map.problem(list(seen), [0]), list(seen), [0], {0: {0, 1, 2}}).pixels.added
+    assert added is not None
+    np.testing.assert_allclose(added.walk_px2 / WALK_PX**2, [0.0, 1.0, 4.0, 5.0, 1.0, 2.0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(added.branch, [1, 1, 1, 1, 12, 12])
+    inwards = CONTRACTION * (CAMERA.cx_px - 350.0)
+    wanted = np.outer([0, 1, 4, 5, -1, 0], [inwards, DRIFT_PX])
+    np.testing.assert_allclose(added.moved[:, 0, :2] * errors.common_m, wanted, rtol=1e-9, atol=1e-12)
+    # A prior of the landmark is one of where its new track begins: a step of the walk away, in the image.
+    errors.since = 12
+    none, origin_m = np.zeros(0, np.int64), np.zeros((1, 3))
+    prior = QuadraticPrior(none, np.array([2]), origin_m, np.diag([4.0, 3.0, 2.0]), np.zeros(3))
+    at = slam_map.positions_m[12], slam_map.frames[12].R_cam_body
+    J = CAMERA.jacobian((at[1] @ -at[0])[None])[0] @ at[1]
+    for merged, steps in ((False, 0.0), (True, 1.0)):
+        carried = errors.carried(prior, 0, CAMERA, at, merged=merged)
+        wider = np.linalg.inv(carried.information) - np.linalg.inv(prior.information)
+        np.testing.assert_allclose(J @ wider @ J.T, steps * WALK_PX**2 * np.eye(2), atol=1e-9)
 
 
 def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):

@@ -136,16 +136,39 @@ def _on_sphere(rng: np.random.Generator, count: int) -> FloatArray:
 def with_track_errors(
     rng: np.random.Generator, sequence: TrackSequence, truth: Truth, walk_px: float, common: float
 ) -> TrackSequence:
-    """Add a walk to the tracks of a sequence, and a contraction and drift of 100 px ``common``; all are declared."""
+    """Add a walk to the tracks of a sequence, and a contraction and drift of 100 px ``common``; all are declared.
+
+    The camera circles about z by equal steps. A point that is found again has the errors of the turn since it was lost
+    or, where the view is back, since its first view.
+    """
     drift_px = 100.0 * common
     contraction, drift, frames = common * rng.standard_normal(), drift_px * rng.standard_normal(2), []
     added: dict[int, FloatArray] = {}
-    for position, frame in zip(truth.positions_m, sequence.frames, strict=True):
+    angles = np.arctan2(*truth.positions_m.T[1::-1])
+    revolution = round(2.0 * np.pi / abs(angles[1] - angles[0]))
+    first: dict[tuple[float, ...], int] = {}
+    last: dict[tuple[float, ...], tuple[int, FloatArray]] = {}
+
+    def turn(before: int, now: int) -> int:
+        return (now - before + revolution // 2) % revolution - revolution // 2
+
+    for k, (position, frame) in enumerate(zip(truth.positions_m, sequence.frames, strict=True)):
         uv = frame.uv_px.copy()
         for row, track in enumerate(frame.tracks.tolist()):
+            point = tuple(truth.points_m[track].tolist())
             true = CAMERA.project((truth.points_m[track] - position)[None] @ frame.R_cam_body.T)[0]
-            step = walk_px * rng.standard_normal(2) + drift - contraction * (true - [CAMERA.cx_px, CAMERA.cy_px])
-            added[track] = added[track] + step if track in added else np.zeros(2)
+            walk = walk_px * rng.standard_normal(2)
+            both = drift - contraction * (true - [CAMERA.cx_px, CAMERA.cy_px])
+            if track in added:
+                added[track] = added[track] + walk + both
+            elif point in first:
+                seen, error = last[point]
+                turned, before = turn(first[point], k), turn(first[point], seen)
+                on, since = (error, turned - before) if turned > before else (np.zeros(2), turned)
+                added[track] = on + np.sqrt(abs(since)) * walk + since * both
+            else:
+                first[point], added[track] = k, np.zeros(2)
+            last[point] = k, added[track]
             uv[row] += added[track]
         frames.append(replace(frame, uv_px=uv, walk_px=walk_px, contraction=common, drift_px=drift_px))
     return replace(sequence, frames=tuple(frames))

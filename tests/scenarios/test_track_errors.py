@@ -94,6 +94,34 @@ def test_a_contraction_is_a_share_of_the_way_to_the_principal_point_in_each_sequ
         np.testing.assert_allclose(found[2][2], -2e-3 * places[2][2], atol=1e-9)
 
 
+def test_a_landmark_that_is_found_again_has_the_errors_of_the_turn_since_its_first_view():
+    """A camera circles by steps of 30 deg; the common errors are exact, and walks have their variance."""
+    camera, frames = Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0), 14
+    angles = np.radians(30.0 * np.arange(frames))
+    poses = [Pose(cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0], np.array([0.0, 0.0, 900.0])) for angle in angles]
+    # Seen from frames 1 and 2, after a gap from 5, and a revolution and less than a step before its first view from 12.
+    seen = {1: 0, 2: 0, 5: 1, 6: 1, 12: 2, 13: 2}
+    point = np.array([30.0, -20.0, 10.0])
+    alive = tuple(np.array([seen[k]] if k in seen else [], dtype=np.int64) for k in range(frames))
+    tracks = SimulatedTracks(np.tile(point, (3, 1)), np.zeros(3, dtype=np.int64), alive)
+
+    def moved(spec: TrackErrorsSpec, seed: int) -> dict[int, np.ndarray]:
+        drawn = accumulated_errors_px(spec, tracks, poses, camera, np.random.default_rng(seed))
+        return {k: error[0] for k, error in enumerate(drawn) if k in seen}
+
+    place = {k: camera.project(poses[k].transform(point[None]))[0] - 500.0 for k in seen}
+    common = moved(TrackErrorsSpec(contraction=1e-3), 1)
+    on, back = place[2] + 3.0 * place[5], -place[12]
+    for k, value in {1: 0.0 * place[1], 2: place[2], 5: on, 6: on + place[6], 12: back, 13: back + place[13]}.items():
+        np.testing.assert_allclose(common[k], -1e-3 * value, atol=1e-9)
+
+    walks = [moved(TrackErrorsSpec(walk_px=0.3), seed) for seed in range(400)]
+    low, high = stats.chi2.interval(0.999, 2 * len(walks))
+    for first, then, steps in ((1, 2, 1), (1, 5, 4), (2, 5, 3), (1, 12, 1), (5, 12, 5), (12, 13, 1)):
+        square = sum(np.sum((one[then] - one[first]) ** 2) for one in walks)
+        assert low < square / (0.09 * steps) < high, (first, then)
+
+
 def test_a_drift_is_one_step_for_all_tracks_of_a_sequence_and_normal_over_sequences():
     walks = "walk_px: 0.3, student_t: 4"
     drawn = []

@@ -4,6 +4,7 @@ From frame to frame a pixel at p takes a random step of its own, and the common 
 The walk counts from the `branch`: the frame in which the track began, or the oldest one of the window; it is eliminated
 with the landmark, and what a window hands to the next one is about the landmark at the new oldest frame. The common
 errors count from the beginning of the track. They are linear in c and d, by the sum of all pixels of the track so far.
+A track that is recognised begins with what its landmark has (`TrackErrors.resume`).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from boresight.estimators.slam.adjustment.problem import NO_PRIOR, AddedErrors, Adjustment, QuadraticPrior
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import TrackFrame
 
@@ -48,10 +49,15 @@ class TrackErrors:
         self._walk_px2: list[float] = []
         self._moved: list[dict[int, FloatArray]] = []
         self._last: dict[int, int] = {}
+        # Boresights, body frame; of recognised tracks the first frame of the landmark, and the variance of a new begin.
+        self._boresights: list[FloatArray] = []
+        self._first: dict[int, int] = {}
+        self._found_px2: dict[int, float] = {}
 
     def add(self, frame: TrackFrame) -> None:
         """Add the next frame."""
         number = len(self._walk_px2)
+        self._boresights.append(frame.R_cam_body[2])
         self._walk_px2.append(frame.walk_px**2 + (self._walk_px2[-1] if number else 0.0))
         if not number:
             angle_rad = math.hypot(frame.contraction, frame.drift_px / self._camera.fx_px)
@@ -67,6 +73,46 @@ class TrackErrors:
         self._last.update(dict.fromkeys(tracks, number))
         for track in tracks:
             self._began.setdefault(track, number)
+
+    def resume(self, frame: TrackFrame) -> None:
+        """Begin the recognised tracks of the newest frame with the errors of their landmarks since the first sighting.
+
+        On real tracks errors grow with the change of the view, not with time. While the view turns on, a track that
+        comes back goes on. Where the view is back, as after a revolution, its landmark is found anew, with the errors
+        that the turn from its first view to this one makes; turned back, the common ones have the other sign.
+        """
+        if not self.declared or not len(frame.again):
+            return
+        number = len(self._walk_px2) - 1
+        steps = common_steps(self._camera, frame) / (self.common_m or 1.0)
+        rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
+        for new, old in frame.again.tolist():
+            if new not in rows or old not in self._last:  # a frame without the pixel of a pair
+                continue
+            last, began = self._last[old], self._began[old]
+            first = self._first[new] = self._first.get(old, began)
+            if number - began < 2.0 * self._turned(began, number):
+                self._began[new], self._found_px2[new] = began, self._found_px2.get(old, 0.0)
+                self._moved[number][new] = self._moved[last][old] + (number - last) * steps[rows[new]]
+            else:
+                turned = self._turned(first, number)
+                self._found_px2[new] = abs(turned) * frame.walk_px**2
+                self._moved[number][new] = turned * steps[rows[new]]
+
+    def _turned(self, before: int, now: int) -> float:
+        """Return by how many frames' mean turn the boresight has turned between two frames; back is negative."""
+        boresights = np.array(self._boresights)
+        ahead = np.cross(boresights[:-1], boresights[1:])
+        mean_rad = float(np.mean(np.arcsin(np.minimum(np.linalg.norm(ahead, axis=1), 1.0))))
+        if not mean_rad:  # always the same view
+            return float(now - before)
+        across = np.cross(boresights[before], boresights[now])
+        angle_rad = math.atan2(float(np.linalg.norm(across)), float(boresights[before] @ boresights[now]))
+        return math.copysign(angle_rad / mean_rad, float(across @ ahead.sum(axis=0)))
+
+    def began(self, tracks: Sequence[int]) -> IndexArray:
+        """(n,) frames from which the walks of tracks count in a map of all frames."""
+        return np.array([self._began[track] for track in tracks], dtype=np.int64)
 
     @property
     def declared(self) -> bool:
@@ -117,7 +163,7 @@ class TrackErrors:
     ) -> Adjustment:
         """Return the adjustment of ``views`` and ``tracks`` with these errors; the common ones are its last view.
 
-        In a map of all frames ``merged`` has the tracks of landmarks with more than one; each begins anew.
+        In a map of all frames ``merged`` has the tracks of landmarks with more than one.
         """
         if not self.declared:
             return problem
@@ -134,12 +180,23 @@ class TrackErrors:
             still = np.concatenate([problem.R_cam_body, np.eye(3)[None]])
             problem = replace(problem, R_cam_body=still, free_views=np.append(problem.free_views, True))
         start = np.array(branch, dtype=np.int64)
-        return replace(problem, pixels=replace(seen, added=AddedErrors(start, walked[here] - walked[start], moved)))
+        walk_px2 = walked[here] - walked[start]
+        if merged is not None:  # alone in a window, a landmark has this error itself
+            walk_px2 += [self._found_px2.get(track, 0.0) for track in own]
+        return replace(problem, pixels=replace(seen, added=AddedErrors(start, walk_px2, moved)))
 
     def carried(
-        self, prior: QuadraticPrior, since: int, camera: Camera, at: tuple[FloatArray, FloatArray]
+        self,
+        prior: QuadraticPrior,
+        since: int,
+        camera: Camera,
+        at: tuple[FloatArray, FloatArray],
+        *,
+        merged: bool = False,
     ) -> QuadraticPrior:
         """Return a prior of landmarks before the oldest frame, by their tracks, as one at that frame.
+
+        With ``merged`` a landmark was first seen by another track, which this one has found anew.
 
         ``since`` is the frame that was the oldest before; ``at`` are position (3,) and attitude (3, 3) of the camera
         at the one that is. The walk moves a landmark across its line of sight there.
@@ -150,7 +207,10 @@ class TrackErrors:
         first, count = len(prior.views), len(prior.points)
         began = [min(max(self._began[track], since), end) for track in prior.points.tolist()]
         position_m, R_cam_body = at
-        spread = np.sqrt(np.maximum(walked[end] - walked[began], 0.0))
+        walked_px2 = np.maximum(walked[end] - walked[began], 0.0)
+        if merged:
+            walked_px2 += [self._found_px2.get(track, 0.0) for track in prior.points.tolist()]
+        spread = np.sqrt(walked_px2)
         J = camera.jacobian((prior.origin_m[first:] - position_m) @ R_cam_body.T) @ R_cam_body
         # The smallest displacement that moves the pixel by one step.
         across = np.swapaxes(np.linalg.solve(J @ np.swapaxes(J, 1, 2), J), 1, 2) * spread[:, None, None]

@@ -145,7 +145,7 @@ class WindowSmoother:
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Adjust with the next frame, and marginalise the oldest one if the window is full. Raises LostError."""
         number = self.next_number
-        self.slam_map.errors.add(frame)
+        self._note(frame)
         self.gate.add_frame(number, self.weighted(frame))
         self.views.append(number)
         if number == 0:
@@ -158,6 +158,10 @@ class WindowSmoother:
         if len(self.views) > self.options.lag and self.adjusted is not None:
             self._marginalise(self.adjusted)
         return estimate
+
+    def _note(self, frame: TrackFrame) -> None:
+        """Note the next frame for errors that add up along its tracks."""
+        self.slam_map.errors.add(frame)
 
     @property
     def next_number(self) -> int:
@@ -281,10 +285,10 @@ class WindowSmoother:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
 
-    def _carried(self, prior: QuadraticPrior, since: int) -> QuadraticPrior:
+    def _carried(self, prior: QuadraticPrior, since: int, *, merged: bool = False) -> QuadraticPrior:
         """Return a prior of landmarks where they were followed to at an older frame as one at the oldest view."""
         at = self.slam_map.positions_m[self.views[0]], self.slam_map.frames[self.views[0]].R_cam_body
-        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at)
+        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at, merged=merged)
 
     def _beyond_prior_size(self, staying: BoolArray, in_prior: BoolArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
