@@ -45,7 +45,8 @@ from boresight.scenarios.reading import CONTENT_FAULTS
 
 _IMAGES = {"compare-navcam67p": "67P, 60 images"}
 _SHOWN, _MOST_PERCENT = 3, 99.5
-_TRACKS, _SIMULATED = "vesta-real-slam", "vesta-simulated-slam"
+_TRACKS = "vesta-real-slam"
+_SIMULATED = {"vesta-simulated-slam": "simulated", "vesta-simulated-loops": "simulated, landmarks found again"}
 _ERRORS = "white", "fit-1-32", "fit-33-65", "1-32-by-33-65", "33-65-by-1-32"
 SCORES = Path("figures/craters-real/scores.csv")
 _GAP, _CELLS, _LEAST_TRACKS = 4, 10, 30
@@ -61,8 +62,10 @@ def _rows(found: Mapping[str, FinishedRun]) -> Iterator[dict[str, str]]:
             run = found[name].data
             real_images, rendered = _levels(run)
             yield from reality_rows(seen, (run, real_images), (run, rendered))
-    if _TRACKS in found and _SIMULATED in found:
-        real, simulated = found[_TRACKS].data, found[_SIMULATED].data
+    for name, how in _SIMULATED.items():
+        if _TRACKS not in found or name not in found:
+            continue
+        real, simulated = found[_TRACKS].data, found[name].data
         for errors in _ERRORS:
             scenarios = levels_of(real, {"frames": errors.partition("-by-")[0] if "-by-" in errors else "all"})
             for levels, scenario in levels_of(simulated, {"errors": errors}).items():
@@ -70,7 +73,7 @@ def _rows(found: Mapping[str, FinishedRun]) -> Iterator[dict[str, str]]:
                     continue
                 tracks, every = levels
                 ranges = "one range" if every == "0" else f"a range every {every} frames"
-                seen = f"Vesta, {tracks} tracks, {ranges}; simulated: {errors}"
+                seen = f"Vesta, {tracks} tracks, {ranges}; {how}: {errors}"
                 yield from reality_rows(seen, (real, scenarios[levels]), (simulated, scenario), shared=True)
 
 
@@ -225,7 +228,7 @@ def _table(found: Mapping[str, FinishedRun]) -> list[Grid]:
 
 PAPER = Paper(
     title="Real images and tracks next to simulated ones",
-    campaigns=(*_IMAGES, _TRACKS, _SIMULATED),
+    campaigns=(*_IMAGES, _TRACKS, *_SIMULATED),
     methods=(),
     figures=(
         PaperFigure("1", tuple(_IMAGES), _views),
