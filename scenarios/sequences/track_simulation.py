@@ -349,7 +349,8 @@ def accumulated_errors_px(
                 continue
             track, seen = last[landmarks[row]]
             turn, before = turns.between(began, number), turns.between(began, seen)
-            start_px, since = (moved_px[track], turn - before) if turn > before else (np.zeros(2), turn)
+            goes_on = turn > before and not turns.goes_round(seen, number)
+            start_px, since = (moved_px[track], turn - before) if goes_on else (np.zeros(2), turn)
             moved_px[tracks[row]] = start_px + np.sqrt(abs(since)) * steps[row] + since * common[row]
         last.update(zip(landmarks, zip(tracks.tolist(), itertools.repeat(number)), strict=True))
         yield moved_px[tracks]
@@ -357,19 +358,25 @@ def accumulated_errors_px(
 
 
 class _Turns:
-    """Turns of the camera about the body's origin, in mean steps; negative against the motion."""
+    """Turns of the camera about the body's origin, in mean steps."""
 
     def __init__(self, poses: Sequence[Pose]) -> None:
         self._places = np.array([pose.camera_position_m for pose in poses])
-        self._axis = np.cross(self._places[:-1], self._places[1:]).sum(axis=0)
-        self._step_rad = float(np.mean([angle_between(*pair) for pair in itertools.pairwise(self._places)] or [0.0]))
+        steps = [angle_between(*pair) for pair in itertools.pairwise(self._places)]
+        self._path_rad = np.cumsum([0.0, *steps])
+        self._step_rad = float(np.mean(steps or [0.0]))
 
     def between(self, one: int, other: int) -> float:
-        """Return the turn from one frame to another; their distance where the camera never turns."""
+        """Return the turn from a frame to a later one, negative if that is where the camera came from."""
         if not self._step_rad:
             return float(other - one)
-        pair = self._places[one], self._places[other]
-        return float(np.copysign(angle_between(*pair), self._axis @ np.cross(*pair))) / self._step_rad
+        before, after = self._places[one], self._places[other]
+        ahead = np.cross(before, self._places[min(one + 1, other)])
+        return float(np.copysign(angle_between(before, after), ahead @ np.cross(before, after))) / self._step_rad
+
+    def goes_round(self, one: int, other: int) -> bool:
+        """Return whether the camera turns by more than half a revolution from one frame to another."""
+        return bool(self._path_rad[other] - self._path_rad[one] > np.pi)
 
 
 def noise(student_t: float | None, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:

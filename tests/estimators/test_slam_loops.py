@@ -268,7 +268,7 @@ def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -
 
 
 def test_closed_loops_are_consistent_with_errors_that_add_up_along_tracks() -> None:
-    """Each track of a landmark has a walk of its own; bounds as above."""
+    """Bounds as above."""
     trials, told, untold, errors, opened = 4, 0.0, 0.0, [], []
     low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 3 * trials)
     for trial in range(trials):

@@ -176,39 +176,62 @@ def test_the_steps_of_a_track_add_up_from_its_second_sighting_on(small):
 
 
 def test_recognised_tracks_begin_with_the_errors_of_the_turn_since_the_first_view():
-    """The camera circles by steps of 30 deg: a gap of three frames, then a revolution less one step."""
-    seen = {1: 0, 2: 0, 5: 1, 6: 1, 12: 2, 13: 2}
+    """The camera circles by steps of 30 deg, two and a bit times, and another track is always in view."""
+    seen = {1: 0, 2: 0, 5: 1, 6: 1, 12: 2, 14: 3, 26: 4}
+    recognised = {5: [(1, 0), (99, 0), (1, 77)], 12: [(2, 1)], 14: [(3, 2)], 26: [(4, 3)]}
     slam_map = SlamMap(CAMERA)
-    errors, uv = slam_map.errors, np.array([[350.0, 400.0]])
-    for k in range(14):
+    errors = slam_map.errors
+    for k in range(27):
         R = Rotation.from_euler("y", 30.0 * k, degrees=True).as_matrix()
-        tracks, pairs = ([seen[k]], [(1, 0)] if k == 5 else [(2, 1)] if k == 12 else []) if k in seen else ([], [])
+        tracks = np.array([50, seen[k]] if k in seen else [50], dtype=np.int64)
         frame = TrackFrame(
-            100.0 * k, R, np.array(tracks, np.int64), uv[: len(tracks)], 0.5, np.zeros(3), np.eye(3),
-            again=np.array(pairs, np.int64).reshape(-1, 2), walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
+            100.0 * k, R, tracks, np.array([[700.0, 100.0], [300.0 + 5.0 * k, 400.0]])[: len(tracks)], 0.5,
+            np.zeros(3), np.eye(3), again=np.array(recognised.get(k, []), np.int64).reshape(-1, 2),
+            walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
         )  # fmt: skip
         errors.add(frame)
         errors.resume(frame)
-        slam_map.frames[k] = replace(frame, tracks=np.zeros(len(tracks), np.int64))
+        slam_map.frames[k] = replace(frame, tracks=np.minimum(tracks, 1) * tracks // 50)
         slam_map.positions_m[k] = R.T @ [0.0, 0.0, -1000.0]
-    slam_map.points_m[0] = np.zeros(3)
-    added = errors.extended(slam_map.problem(list(seen), [0]), list(seen), [0], {0: {0, 1, 2}}).pixels.added
-    assert added is not None
-    np.testing.assert_allclose(added.walk_px2 / WALK_PX**2, [0.0, 1.0, 4.0, 5.0, 1.0, 2.0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(added.branch, [1, 1, 1, 1, 12, 12])
-    inwards = CONTRACTION * (CAMERA.cx_px - 350.0)
-    wanted = np.outer([0, 1, 4, 5, -1, 0], [inwards, DRIFT_PX])
-    np.testing.assert_allclose(added.moved[:, 0, :2] * errors.common_m, wanted, rtol=1e-9, atol=1e-12)
-    # A prior of the landmark is one of where its new track begins: a step of the walk away, in the image.
-    errors.since = 12
-    none, origin_m = np.zeros(0, np.int64), np.zeros((1, 3))
-    prior = QuadraticPrior(none, np.array([2]), origin_m, np.diag([4.0, 3.0, 2.0]), np.zeros(3))
-    at = slam_map.positions_m[12], slam_map.frames[12].R_cam_body
-    J = CAMERA.jacobian((at[1] @ -at[0])[None])[0] @ at[1]
-    for merged, steps in ((False, 0.0), (True, 1.0)):
-        carried = errors.carried(prior, 0, CAMERA, at, merged=merged)
-        wider = np.linalg.inv(carried.information) - np.linalg.inv(prior.information)
-        np.testing.assert_allclose(J @ wider @ J.T, steps * WALK_PX**2 * np.eye(2), atol=1e-9)
+    slam_map.points_m = {0: np.zeros(3), 1: np.zeros(3)}
+    views = list(range(27))
+    pixels = errors.extended(slam_map.problem(views, [0, 1]), views, [0, 1], {0: set(range(5)), 1: {50}}).pixels
+    pixels = pixels.subset(pixels.point == 0)
+    assert pixels.added is not None
+    np.testing.assert_array_equal(pixels.view, list(seen))
+    np.testing.assert_array_equal(pixels.added.branch, [1, 1, 1, 1, 12, 12, 26])
+    np.testing.assert_allclose(pixels.added.walk_px2 / WALK_PX**2, [0, 1, 4, 5, 1, 3, 1], rtol=1e-9, atol=1e-12)
+    step = {k: np.array([CONTRACTION * (CAMERA.cx_px - 300.0 - 5.0 * k), DRIFT_PX]) for k in seen}
+    on, back = step[2] + 3.0 * step[5], -step[12]
+    moved = [0.0 * step[1], step[2], on, on + step[6], back, back + 2.0 * step[14], step[26]]
+    np.testing.assert_allclose(pixels.added.moved[:, 0, :2] * errors.common_m, moved, rtol=1e-9, atol=1e-12)
+
+    # About the landmark at frame 14, where its track is the one that was found at 12, a step off.
+    errors.since = 14
+    before = pixels.subset(pixels.view < 26)
+    about, shared = errors.backwards(before, before.view, [3] * len(before.view))
+    assert about.added is not None
+    np.testing.assert_array_equal(shared, [False] * 4 + [True] * 2)
+    np.testing.assert_allclose(about.added.walk_px2 / WALK_PX**2, [3, 4, 7, 8, 2, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_view_that_stays_or_that_is_passed_again_is_told_by_the_boresights():
+    """Where the camera hovers a track goes on; out and back, its landmark is found anew where the view was."""
+    for turns, wanted in (([0.0] * 8, 5.0), ([0, 1, 2, 3, 4, 5, 6, 7], 5.0), ([0, 1, 2, 3, 4, 3, 2, 1], 0.0)):
+        errors = SlamMap(CAMERA).errors
+        for k, turn in enumerate(turns):
+            R = Rotation.from_euler("yz", [10.0 * turn, 2.0 * (k % 2) * bool(any(turns))], degrees=True).as_matrix()
+            tracks = np.array([{1: 0, 2: 0, 7: 1}.get(k, 50)])
+            pairs = np.array([(1, 0)] if k == 7 else [], np.int64).reshape(-1, 2)
+            frame = TrackFrame(
+                100.0 * k, R, tracks, np.array([[300.0, 400.0]]), 0.5, np.zeros(3), np.eye(3), again=pairs,
+                walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
+            )  # fmt: skip
+            errors.add(frame)
+            errors.resume(frame)
+        step = errors.moved(2, [0])[0]
+        gone = errors.moved(7, [1])[0][1, 2] / step[1, 2]
+        assert gone == pytest.approx(1.0 + wanted if wanted else 0.0, abs=0.25)
 
 
 def test_what_a_window_hands_on_equals_dense_least_squares_of_all_frames(small):

@@ -164,7 +164,11 @@ def with_track_errors(
             elif point in first:
                 seen, error = last[point]
                 turned, before = turn(first[point], k), turn(first[point], seen)
-                on, since = (error, turned - before) if turned > before else (np.zeros(2), turned)
+                on, since = (
+                    (error, turned - before)
+                    if turned > before and k - seen < revolution // 2
+                    else (np.zeros(2), turned)
+                )
                 added[track] = on + np.sqrt(abs(since)) * walk + since * both
             else:
                 first[point], added[track] = k, np.zeros(2)

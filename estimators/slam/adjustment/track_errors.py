@@ -1,10 +1,10 @@
 """Errors of pixels that add up along a track, in an adjustment of views: a random walk, and errors common to all.
 
 From frame to frame a pixel at p takes a random step of its own, and the common step ``d - c (p - p0)`` (`TrackFrame`).
-The walk counts from the `branch`: the frame in which the track began, or the oldest one of the window; it is eliminated
-with the landmark, and what a window hands to the next one is about the landmark at the new oldest frame. The common
-errors count from the beginning of the track. They are linear in c and d, by the sum of all pixels of the track so far.
-A track that is recognised begins with what its landmark has (`TrackErrors.resume`).
+The walk counts from the `branch`: the frame in which the track, or the one that it goes on, began, or the oldest frame
+of the window; it is eliminated with the landmark, and what a window hands to the next one is about the landmark at the
+new oldest frame. The common errors count from the beginning of the track. They are linear in c and d, by the sum of all
+pixels of the track so far. A track that is recognised begins with what its landmark has (`TrackErrors.resume`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from boresight.estimators.slam.adjustment.problem import NO_PRIOR, AddedErrors, Adjustment, QuadraticPrior
-from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.geometry import Camera
+from boresight.estimators.slam.adjustment.problem import (
+    NO_PRIOR,
+    AddedErrors,
+    Adjustment,
+    PixelMeasurements,
+    QuadraticPrior,
+)
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.geometry import Camera, angle_between
 from boresight.scenarios.observation import TrackFrame
 
 COMMON = 2**60
@@ -49,15 +55,19 @@ class TrackErrors:
         self._walk_px2: list[float] = []
         self._moved: list[dict[int, FloatArray]] = []
         self._last: dict[int, int] = {}
-        # Boresights, body frame; of recognised tracks the first frame of the landmark, and the variance of a new begin.
+        # Boresights, body frame, and the sum of their turns from frame to frame. Of recognised tracks the first frame
+        # of the landmark with the axis about which the view turned on, and the variance with which it was found anew.
         self._boresights: list[FloatArray] = []
-        self._first: dict[int, int] = {}
+        self._turned_rad = 0.0
+        self._first: dict[int, tuple[int, FloatArray]] = {}
         self._found_px2: dict[int, float] = {}
 
     def add(self, frame: TrackFrame) -> None:
         """Add the next frame."""
         number = len(self._walk_px2)
         self._boresights.append(frame.R_cam_body[2])
+        if number:
+            self._turned_rad += angle_between(*self._boresights[-2:])
         self._walk_px2.append(frame.walk_px**2 + (self._walk_px2[-1] if number else 0.0))
         if not number:
             angle_rad = math.hypot(frame.contraction, frame.drift_px / self._camera.fx_px)
@@ -77,42 +87,32 @@ class TrackErrors:
     def resume(self, frame: TrackFrame) -> None:
         """Begin the recognised tracks of the newest frame with the errors of their landmarks since the first sighting.
 
-        On real tracks errors grow with the change of the view, not with time. While the view turns on, a track that
-        comes back goes on. Where the view is back, as after a revolution, its landmark is found anew, with the errors
-        that the turn from its first view to this one makes; turned back, the common ones have the other sign.
+        On real tracks errors follow the view, which the boresight tells here. While it turns on, a track that comes
+        back goes on. Where the view comes back too, as after a revolution, the landmark is found anew, with the errors
+        of the turn from its first view to this one, in frames of mean turn; turned back, the common ones have the other
+        sign.
         """
-        if not self.declared or not len(frame.again):
-            return
         number = len(self._walk_px2) - 1
+        if not self.declared or not number or not len(frame.again):
+            return
         steps = common_steps(self._camera, frame) / (self.common_m or 1.0)
         rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
+        views = np.array(self._boresights)
         for new, old in frame.again.tolist():
-            if new not in rows or old not in self._last:  # a frame without the pixel of a pair
+            if new not in rows or old not in self._last or self._began[new] != number:
                 continue
             last, began = self._last[old], self._began[old]
-            first = self._first[new] = self._first.get(old, began)
-            if number - began < 2.0 * self._turned(began, number):
+            first, onward = self._first.setdefault(old, (began, np.cross(views[began], views[last])))
+            self._first[new] = first, onward
+            away = np.arcsin(np.minimum(np.linalg.norm(views[began:] - views[began], axis=1) / 2.0, 1.0))  # half angles
+            if 2.0 * away[-1] >= away.max():
                 self._began[new], self._found_px2[new] = began, self._found_px2.get(old, 0.0)
                 self._moved[number][new] = self._moved[last][old] + (number - last) * steps[rows[new]]
             else:
-                turned = self._turned(first, number)
-                self._found_px2[new] = abs(turned) * frame.walk_px**2
-                self._moved[number][new] = turned * steps[rows[new]]
-
-    def _turned(self, before: int, now: int) -> float:
-        """Return by how many frames' mean turn the boresight has turned between two frames; back is negative."""
-        boresights = np.array(self._boresights)
-        ahead = np.cross(boresights[:-1], boresights[1:])
-        mean_rad = float(np.mean(np.arcsin(np.minimum(np.linalg.norm(ahead, axis=1), 1.0))))
-        if not mean_rad:  # always the same view
-            return float(now - before)
-        across = np.cross(boresights[before], boresights[now])
-        angle_rad = math.atan2(float(np.linalg.norm(across)), float(boresights[before] @ boresights[now]))
-        return math.copysign(angle_rad / mean_rad, float(across @ ahead.sum(axis=0)))
-
-    def began(self, tracks: Sequence[int]) -> IndexArray:
-        """(n,) frames from which the walks of tracks count in a map of all frames."""
-        return np.array([self._began[track] for track in tracks], dtype=np.int64)
+                turned = angle_between(views[first], views[number]) * number / self._turned_rad
+                self._found_px2[new] = turned * frame.walk_px**2
+                ahead = np.cross(views[first], views[number]) @ onward >= 0.0
+                self._moved[number][new] = (turned if ahead else -turned) * steps[rows[new]]
 
     @property
     def declared(self) -> bool:
@@ -185,18 +185,28 @@ class TrackErrors:
             walk_px2 += [self._found_px2.get(track, 0.0) for track in own]
         return replace(problem, pixels=replace(seen, added=AddedErrors(start, walk_px2, moved)))
 
+    def backwards(
+        self, pixels: PixelMeasurements, frames: IndexArray, goes_on: Sequence[int]
+    ) -> tuple[PixelMeasurements, BoolArray]:
+        """Return pixels (k,) with errors about their landmarks at the oldest frame, and which share a walk with it.
+
+        ``frames`` (k,) are theirs, and ``goes_on`` (k,) the tracks of their landmarks in the window. What another
+        track has gathered before is added to by what this one had when it was found, and since then.
+        """
+        if pixels.added is None:
+            return pixels, np.zeros(len(frames), dtype=np.bool_)
+        walked, since = np.array(self._walk_px2), self.since
+        began = np.array([self._began[track] for track in goes_on], dtype=np.int64)
+        shared = pixels.added.branch == began
+        since_found = walked[since] - walked[np.minimum(began, since)]
+        since_found += [self._found_px2.get(track, 0.0) for track in goes_on]
+        walk_px2 = np.where(shared, np.abs(walked[since] - walked[frames]), pixels.added.walk_px2 + since_found)
+        return replace(pixels, added=replace(pixels.added, walk_px2=walk_px2)), shared
+
     def carried(
-        self,
-        prior: QuadraticPrior,
-        since: int,
-        camera: Camera,
-        at: tuple[FloatArray, FloatArray],
-        *,
-        merged: bool = False,
+        self, prior: QuadraticPrior, since: int, camera: Camera, at: tuple[FloatArray, FloatArray]
     ) -> QuadraticPrior:
         """Return a prior of landmarks before the oldest frame, by their tracks, as one at that frame.
-
-        With ``merged`` a landmark was first seen by another track, which this one has found anew.
 
         ``since`` is the frame that was the oldest before; ``at`` are position (3,) and attitude (3, 3) of the camera
         at the one that is. The walk moves a landmark across its line of sight there.
@@ -207,10 +217,7 @@ class TrackErrors:
         first, count = len(prior.views), len(prior.points)
         began = [min(max(self._began[track], since), end) for track in prior.points.tolist()]
         position_m, R_cam_body = at
-        walked_px2 = np.maximum(walked[end] - walked[began], 0.0)
-        if merged:
-            walked_px2 += [self._found_px2.get(track, 0.0) for track in prior.points.tolist()]
-        spread = np.sqrt(walked_px2)
+        spread = np.sqrt(np.maximum(walked[end] - walked[began], 0.0))
         J = camera.jacobian((prior.origin_m[first:] - position_m) @ R_cam_body.T) @ R_cam_body
         # The smallest displacement that moves the pixel by one step.
         across = np.swapaxes(np.linalg.solve(J @ np.swapaxes(J, 1, 2), J), 1, 2) * spread[:, None, None]

@@ -249,14 +249,15 @@ class _LoopClosingWindow(WindowSmoother):
             )
 
         pixels = problem.pixels
-        if pixels.added is not None:
-            # A walk that goes on under the window's track would be in prior and window as if it were two, so that the
-            # other pixels of it in the window are left out.
-            shared = pixels.added.branch == errors.began(numbers.tolist())[pixels.point]
-            leaves = (views[pixels.view] < self.views[0]) | ~stays[pixels.point]
-            pixels = pixels.subset(~shared | remain(pixels) | leaves)
-            problem = replace(problem, pixels=pixels)
-        retained = Retained(np.isin(views, errors.views(self.views)), stays, remain(pixels), remain(problem.distances))
+        outside, inside = views[pixels.view] < self.views[0], remain(pixels)
+        about, shared = errors.backwards(pixels, views[pixels.view], numbers[pixels.point].tolist())
+        if pixels.added is not None and about.added is not None:
+            walk_px2 = np.where(stays[pixels.point], about.added.walk_px2, pixels.added.walk_px2)
+            pixels = replace(pixels, added=replace(pixels.added, walk_px2=walk_px2))
+        # Other pixels in the window that share a walk with it are left out: in the prior the walk would count twice.
+        kept = ~shared | inside | outside | ~stays[pixels.point]
+        problem = replace(problem, pixels=pixels.subset(kept))
+        retained = Retained(np.isin(views, errors.views(self.views)), stays, inside[kept], remain(problem.distances))
         # From the measurements themselves, not from the old prior: linearised at the closed loop, and no measurement is
         # used twice.
         prior = marginalise_outside(problem, state, retained)
@@ -267,8 +268,6 @@ class _LoopClosingWindow(WindowSmoother):
             self.absorbed |= members - {int(numbers[slot])} if stays[slot] else members
         self.slam_map.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
         self.prior = replace(prior, views=views[prior.views], points=numbers[prior.points])
-        # What is known of the walks of the tracks that go on is left out: the prior is wider for it.
-        self.prior = self._carried(self.prior, 0, merged=True)
         # All first estimates are replaced with the prior that they belong to.
         self.first_positions_m = dict(zip(self.prior.views.tolist(), state.positions_m[prior.views], strict=True))
         self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))

@@ -285,10 +285,10 @@ class WindowSmoother:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
 
-    def _carried(self, prior: QuadraticPrior, since: int, *, merged: bool = False) -> QuadraticPrior:
+    def _carried(self, prior: QuadraticPrior, since: int) -> QuadraticPrior:
         """Return a prior of landmarks where they were followed to at an older frame as one at the oldest view."""
         at = self.slam_map.positions_m[self.views[0]], self.slam_map.frames[self.views[0]].R_cam_body
-        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at, merged=merged)
+        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at)
 
     def _beyond_prior_size(self, staying: BoolArray, in_prior: BoolArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.

@@ -148,7 +148,7 @@ def _residuals(
 def _inverse_covariance(problem: FlatProblem, first: int, end: int) -> FloatArray:
     """(m, m) inverse of sigma^2 I + C, with C the smaller of two variances of the walk, for one coordinate, 1/px^2.
 
-    Tracks of one landmark have walks of their own.
+    Pixels of one landmark with the same branch share a walk.
     """
     m = end - first
     inverse = np.empty((m, m))
