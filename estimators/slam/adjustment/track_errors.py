@@ -186,21 +186,23 @@ class TrackErrors:
         return replace(problem, pixels=replace(seen, added=AddedErrors(start, walk_px2, moved)))
 
     def backwards(
-        self, pixels: PixelMeasurements, frames: IndexArray, goes_on: Sequence[int]
+        self, pixels: PixelMeasurements, frames: IndexArray, goes_on: Sequence[int], stays: BoolArray
     ) -> tuple[PixelMeasurements, BoolArray]:
         """Return pixels (k,) with errors about their landmarks at the oldest frame, and which share a walk with it.
 
-        ``frames`` (k,) are theirs, and ``goes_on`` (k,) the tracks of their landmarks in the window. What another
-        track has gathered before is added to by what this one had when it was found, and since then.
+        ``frames`` (k,) are theirs, ``goes_on`` (k,) the tracks of their landmarks in the window, and ``stays`` (k,)
+        whether these stay in it; other pixels are returned as they are. What another track has gathered before is
+        added to by what this one had when it was found, and since then.
         """
         if pixels.added is None:
             return pixels, np.zeros(len(frames), dtype=np.bool_)
         walked, since = np.array(self._walk_px2), self.since
         began = np.array([self._began[track] for track in goes_on], dtype=np.int64)
-        shared = pixels.added.branch == began
+        shared = stays & (pixels.added.branch == began)
         since_found = walked[since] - walked[np.minimum(began, since)]
         since_found += [self._found_px2.get(track, 0.0) for track in goes_on]
-        walk_px2 = np.where(shared, np.abs(walked[since] - walked[frames]), pixels.added.walk_px2 + since_found)
+        walk_px2 = pixels.added.walk_px2 + stays * since_found
+        walk_px2[shared] = np.abs(walked[since] - walked[frames[shared]])
         return replace(pixels, added=replace(pixels.added, walk_px2=walk_px2)), shared
 
     def carried(

@@ -248,14 +248,11 @@ class _LoopClosingWindow(WindowSmoother):
                 [view in held and bool(stays[j]) and int(numbers[j]) in held[view] for view, j in at], dtype=np.bool_
             )
 
-        pixels = problem.pixels
-        outside, inside = views[pixels.view] < self.views[0], remain(pixels)
-        about, shared = errors.backwards(pixels, views[pixels.view], numbers[pixels.point].tolist())
-        if pixels.added is not None and about.added is not None:
-            walk_px2 = np.where(stays[pixels.point], about.added.walk_px2, pixels.added.walk_px2)
-            pixels = replace(pixels, added=replace(pixels.added, walk_px2=walk_px2))
+        seen, point = views[problem.pixels.view], problem.pixels.point
+        pixels, shared = errors.backwards(problem.pixels, seen, numbers[point].tolist(), stays[point])
+        inside = remain(pixels)
         # Other pixels in the window that share a walk with it are left out: in the prior the walk would count twice.
-        kept = ~shared | inside | outside | ~stays[pixels.point]
+        kept = ~shared | inside | (seen < self.views[0])
         problem = replace(problem, pixels=pixels.subset(kept))
         retained = Retained(np.isin(views, errors.views(self.views)), stays, inside[kept], remain(problem.distances))
         # From the measurements themselves, not from the old prior: linearised at the closed loop, and no measurement is
