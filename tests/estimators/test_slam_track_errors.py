@@ -175,6 +175,18 @@ def test_the_steps_of_a_track_add_up_from_its_second_sighting_on(small):
             np.testing.assert_allclose(found, total, rtol=1e-12, atol=1e-15)
 
 
+def followed(errors, number, R, tracks, uv_px, again=()) -> TrackFrame:
+    """The next frame, with its recognised pairs, added to the errors so far."""
+    frame = TrackFrame(
+        100.0 * number, R, np.array(tracks, np.int64), uv_px, 0.5, np.zeros(3), np.eye(3),
+        again=np.array(again, np.int64).reshape(-1, 2),
+        walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
+    )  # fmt: skip
+    errors.add(frame)
+    errors.resume(frame)
+    return frame
+
+
 def test_recognised_tracks_begin_with_the_errors_of_the_turn_since_the_first_view():
     """The camera circles by steps of 30 deg, two and a bit times, and another track is always in view."""
     seen = {1: 0, 2: 0, 5: 1, 6: 1, 12: 2, 14: 3, 26: 4}
@@ -183,15 +195,9 @@ def test_recognised_tracks_begin_with_the_errors_of_the_turn_since_the_first_vie
     errors = slam_map.errors
     for k in range(27):
         R = Rotation.from_euler("y", 30.0 * k, degrees=True).as_matrix()
-        tracks = np.array([50, seen[k]] if k in seen else [50], dtype=np.int64)
-        frame = TrackFrame(
-            100.0 * k, R, tracks, np.array([[700.0, 100.0], [300.0 + 5.0 * k, 400.0]])[: len(tracks)], 0.5,
-            np.zeros(3), np.eye(3), again=np.array(recognised.get(k, []), np.int64).reshape(-1, 2),
-            walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
-        )  # fmt: skip
-        errors.add(frame)
-        errors.resume(frame)
-        slam_map.frames[k] = replace(frame, tracks=np.minimum(tracks, 1) * tracks // 50)
+        tracks, uv = [50, seen[k]] if k in seen else [50], np.array([[700.0, 100.0], [300.0 + 5.0 * k, 400.0]])
+        frame = followed(errors, k, R, tracks, uv[: len(tracks)], recognised.get(k, ()))
+        slam_map.frames[k] = replace(frame, tracks=frame.tracks // 50)  # landmark 1 is the track that is always there
         slam_map.positions_m[k] = R.T @ [0.0, 0.0, -1000.0]
     slam_map.points_m = {0: np.zeros(3), 1: np.zeros(3)}
     views = list(range(27))
@@ -216,19 +222,13 @@ def test_recognised_tracks_begin_with_the_errors_of_the_turn_since_the_first_vie
 
 
 def test_a_view_that_stays_or_that_is_passed_again_is_told_by_the_boresights():
-    """Where the camera hovers a track goes on; out and back, its landmark is found anew where the view was."""
+    """A track goes on while the camera hovers or its view turns on. On its way back the landmark is found anew."""
     for turns, wanted in (([0.0] * 8, 5.0), ([0, 1, 2, 3, 4, 5, 6, 7], 5.0), ([0, 1, 2, 3, 4, 3, 2, 1], 0.0)):
         errors = SlamMap(CAMERA).errors
         for k, turn in enumerate(turns):
             R = Rotation.from_euler("yz", [10.0 * turn, 2.0 * (k % 2) * bool(any(turns))], degrees=True).as_matrix()
-            tracks = np.array([{1: 0, 2: 0, 7: 1}.get(k, 50)])
-            pairs = np.array([(1, 0)] if k == 7 else [], np.int64).reshape(-1, 2)
-            frame = TrackFrame(
-                100.0 * k, R, tracks, np.array([[300.0, 400.0]]), 0.5, np.zeros(3), np.eye(3), again=pairs,
-                walk_px=WALK_PX, contraction=CONTRACTION, drift_px=DRIFT_PX,
-            )  # fmt: skip
-            errors.add(frame)
-            errors.resume(frame)
+            track = {1: 0, 2: 0, 7: 1}.get(k, 50)
+            followed(errors, k, R, [track], np.array([[300.0, 400.0]]), [(1, 0)] if k == 7 else ())
         step = errors.moved(2, [0])[0]
         gone = errors.moved(7, [1])[0][1, 2] / step[1, 2]
         assert gone == pytest.approx(1.0 + wanted if wanted else 0.0, abs=0.25)

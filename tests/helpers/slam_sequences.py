@@ -164,12 +164,9 @@ def with_track_errors(
             elif point in first:
                 seen, error = last[point]
                 turned, before = turn(first[point], k), turn(first[point], seen)
-                on, since = (
-                    (error, turned - before)
-                    if turned > before and k - seen < revolution // 2
-                    else (np.zeros(2), turned)
-                )
-                added[track] = on + np.sqrt(abs(since)) * walk + since * both
+                goes_on = turned > before and k - seen < revolution // 2
+                start, since = (error, turned - before) if goes_on else (np.zeros(2), turned)
+                added[track] = start + np.sqrt(abs(since)) * walk + since * both
             else:
                 first[point], added[track] = k, np.zeros(2)
             last[point] = k, added[track]

@@ -251,7 +251,8 @@ class _LoopClosingWindow(WindowSmoother):
         seen, point = views[problem.pixels.view], problem.pixels.point
         pixels, shared = errors.backwards(problem.pixels, seen, numbers[point].tolist(), stays[point])
         inside = remain(pixels)
-        # Other pixels in the window that share a walk with it are left out: in the prior the walk would count twice.
+        # Pixels in the window that share the walk of the window's track are left out: in the prior the walk would count
+        # twice.
         kept = ~shared | inside | (seen < self.views[0])
         problem = replace(problem, pixels=pixels.subset(kept))
         retained = Retained(np.isin(views, errors.views(self.views)), stays, inside[kept], remain(problem.distances))

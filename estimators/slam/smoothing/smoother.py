@@ -276,7 +276,9 @@ class WindowSmoother:
         self.gate.drop_view(self.views[0])
         self.views = self.views[1:]
         before, errors.since = errors.since, self.views[0]
-        self.prior = self._carried(self.prior, before)
+        # Landmarks where they were followed to at the view before become landmarks at the oldest view.
+        at = self.slam_map.positions_m[self.views[0]], self.slam_map.frames[self.views[0]].R_cam_body
+        self.prior = errors.carried(self.prior, before, self.slam_map.camera, at)
         # The prior contains the pixels of the excess landmarks.
         gone = set(number[excess].tolist())
         for view in self.views if gone else ():
@@ -284,11 +286,6 @@ class WindowSmoother:
         for track in gone:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
-
-    def _carried(self, prior: QuadraticPrior, since: int) -> QuadraticPrior:
-        """Return a prior of landmarks where they were followed to at an older frame as one at the oldest view."""
-        at = self.slam_map.positions_m[self.views[0]], self.slam_map.frames[self.views[0]].R_cam_body
-        return self.slam_map.errors.carried(prior, since, self.slam_map.camera, at)
 
     def _beyond_prior_size(self, staying: BoolArray, in_prior: BoolArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
