@@ -76,7 +76,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 11
+    version: ClassVar[int] = 12
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -187,7 +187,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 9
+    version: ClassVar[int] = 10
     options_model: ClassVar[type[SpecModel]] = WholeImageOptions
 
     @classmethod

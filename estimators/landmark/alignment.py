@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft
 
 from boresight.estimators.contract import ImageRenderer, Stopwatch
 from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.spec.base import SpecModel
 
@@ -193,47 +192,45 @@ def _shift_of_overlap(observed: Image, rendered: Image) -> FloatArray:
     """Shift of images that the frame cuts: greatest correlation coefficient over what they have in common.
 
     Padfield (2012), IEEE Transactions on Image Processing 21, 2706, equations (9) to (12) with the whole frames as
-    masks: sums over the overlap are correlations too. At least 0.4 of the frame are in common. Both images are
+    masks, whose sums over the overlap are those of rectangles. At least 0.4 of the frame are in common. Both images are
     band-passed, from 1/256 to 1/32 of the frame's height, as albedo and reflectance differ most at large scales.
     """
     height, width = observed.shape
-    shape = [fft.next_fast_len(2 * side - 1, real=True) for side in (height, width)]
-
-    def spectrum(image: FloatArray) -> NDArray[np.complex128]:
-        return np.asarray(fft.rfft2(image, shape), dtype=np.complex128)
-
-    def correlated(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> FloatArray:
-        return np.asarray(fft.irfft2(one * np.conj(other), shape), dtype=np.float64)
-
     first, second = (_band_passed(image, height / 256.0, height / 32.0) for image in (observed, rendered))
-    frame, one, other = spectrum(np.ones((height, width))), spectrum(first), spectrum(second)
-    count = np.maximum(np.round(correlated(frame, frame)), 1.0)
-    sum_one, sum_other = correlated(one, frame), correlated(frame, other)
-    covariance = correlated(one, other) - sum_one * sum_other / count
-    spread_one = correlated(spectrum(first**2), frame) - sum_one**2 / count
-    spread_other = correlated(frame, spectrum(second**2)) - sum_other**2 / count
-    scale = np.sqrt(np.maximum(spread_one, 0.0) * np.maximum(spread_other, 0.0))
+    reach = [int((1.0 - _LEAST_OVERLAP) * side) for side in (height, width)]
+    down, right = (np.arange(-most, most + 1) for most in reach)
+    shape = [fft.next_fast_len(side + most, real=True) for side, most in zip((height, width), reach, strict=True)]
+    spectrum = fft.rfft2(first, shape) * np.conj(fft.rfft2(second, shape))
+    # Negative shifts are at the end of the axes, where negative indices are.
+    together: FloatArray = fft.irfft2(spectrum, shape)[np.ix_(down, right)]
+    count = np.multiply.outer(height - np.abs(down), width - np.abs(right))
+    sum_first, sum_second = _sums_in_common(first, down, right), _sums_in_common(second, -down, -right)
+    covariance = together - sum_first * sum_second / count
+    spread_first = _sums_in_common(first**2, down, right) - sum_first**2 / count
+    spread_second = _sums_in_common(second**2, -down, -right) - sum_second**2 / count
+    scale = np.sqrt(np.maximum(spread_first, 0.0) * np.maximum(spread_second, 0.0))
     usable = (count >= _LEAST_OVERLAP * height * width) & (scale > 1e-9 * scale.max())
     coefficient = np.where(usable, covariance / np.where(usable, scale, 1.0), -1.0)
     row, column = (int(i) for i in np.unravel_index(int(coefficient.argmax()), coefficient.shape))
-    # Shifts up and to the left are at the end of the axes.
-    down, right = (
-        place - size if place > size // 2 else place for place, size in zip((row, column), shape, strict=True)
-    )
-    around_row, around_column = (
-        np.arange(place - 1, place + 2) % size for place, size in zip((row, column), shape, strict=True)
-    )
-    dv = down + _peak_offset(coefficient[around_row, column].astype(np.float32), 1)
-    du = right + _peak_offset(coefficient[row, around_column].astype(np.float32), 1)
+    dv = down[row] + _peak_offset(coefficient[:, column], row)
+    du = right[column] + _peak_offset(coefficient[row], column)
     return np.array([du, dv], dtype=np.float64)
 
 
+def _sums_in_common(image: FloatArray, down: IndexArray, right: IndexArray) -> FloatArray:
+    """Sum an image (H, W) over what it has in common with a frame shifted by ``down`` (R,), ``right`` (C,): (R, C)."""
+    total = cv2.integral(image)
+    strips = total[image.shape[0] + np.minimum(down, 0)] - total[np.maximum(down, 0)]
+    sums: FloatArray = strips[:, image.shape[1] + np.minimum(right, 0)] - strips[:, np.maximum(right, 0)]
+    return sums
+
+
 def _band_passed(image: Image, fine_px: float, coarse_px: float) -> FloatArray:
-    smooth = [cv2.GaussianBlur(image.astype(np.float64), (0, 0), sigma) for sigma in (fine_px, coarse_px)]
-    return np.asarray(smooth[0] - smooth[1], dtype=np.float64)
+    fine, coarse = (cv2.GaussianBlur(image, (0, 0), sigma) for sigma in (fine_px, coarse_px))
+    return np.asarray(fine - coarse, dtype=np.float64)
 
 
-def _peak_offset(profile: NDArray[np.float32], peak: int) -> float:
+def _peak_offset(profile: Image | FloatArray, peak: int) -> float:
     """Offset in px of the vertex of the parabola through the peak and its neighbours; 0 at an edge."""
     if not 0 < peak < len(profile) - 1:
         return 0.0

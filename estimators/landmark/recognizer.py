@@ -288,7 +288,7 @@ class LandmarkRecognizer:
     """
 
     name: ClassVar[str] = "landmark-harris"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = LandmarkOptions
 
     def __init__(

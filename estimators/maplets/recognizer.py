@@ -234,7 +234,7 @@ class MapletNavigator:
     """
 
     name: ClassVar[str] = "lmaps"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model: ClassVar[type[SpecModel]] = MapletsOptions
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:

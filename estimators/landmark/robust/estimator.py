@@ -138,7 +138,7 @@ class ConsensusRecognizer:
     """
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 8
+    version: ClassVar[int] = 9
     options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
