@@ -50,6 +50,18 @@ _PARSER_FAULTS = (
 )  # fmt: skip
 
 
+class Pattern(int):
+    """A number of a label that gives its bits, as 16#FF7FFFFB#."""
+
+
+class _LabelDecoder(OmniDecoder):  # type: ignore[misc]
+    """Decoder that tells numbers with a base from others."""
+
+    def decode_non_decimal(self, value: str) -> Pattern:
+        """Return the number of, for example, ``16#FF7FFFFB#``."""
+        return Pattern(super().decode_non_decimal(value))
+
+
 class _LabelParser(OmniParser):  # type: ignore[misc]
     """Parser that limits the number of replaced missing values: pvl never ends on ``A = 1 = 2`` in an object."""
 
@@ -109,7 +121,7 @@ def parse_label(content: bytes, path: Path) -> Label:
         raise BoresightError(f"{path}: the label has no line END within its first {_LONGEST_LABEL >> 10} KiB")
     text = content[: end.end()].decode("latin-1")
     try:
-        values = pvl.loads(text, parser=_LabelParser(decoder=OmniDecoder(real_cls=Decimal)))
+        values = pvl.loads(text, parser=_LabelParser(decoder=_LabelDecoder(real_cls=Decimal)))
     except _PARSER_FAULTS as error:
         reason = one_line(error)[:200] or type(error).__name__
         raise BoresightError(f"{path}: not a readable PDS3 label: {reason}") from error
@@ -153,13 +165,21 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
     stored = np.ascontiguousarray(samples).view(layout.dtype)
     # The constant is one of the stored numbers, before scaling.
     for name in MARKS:
-        mark = _number(label, image, name, None)
+        mark = _mark(label, image, name, layout.dtype)
         if mark is not None and (gaps := int((stored == mark).sum())):
             raise label.fault(f"{gaps} pixels are marked as missing ({name} = {mark:g})")
     scale, offset = _number(label, image, "SCALING_FACTOR", 1.0), _number(label, image, "OFFSET", 0.0)
     # Results beyond single precision become infinite; the caller refuses them.
     with np.errstate(over="ignore", invalid="ignore"):
         return (stored.astype(np.float64) * (scale or 1.0) + (offset or 0.0)).astype(np.float32)
+
+
+def _mark(label: Label, image: Mapping[str, object], name: str, dtype: np.dtype[np.generic]) -> float | None:
+    """Return a number that stands for no brightness, as it is stored; None if there is none."""
+    value = image.get(name)
+    if isinstance(value, Pattern) and 0 <= value < 1 << 8 * dtype.itemsize:
+        return float(np.array(value, f"u{dtype.itemsize}").view(dtype.newbyteorder("=")))
+    return _number(label, image, name, None)
 
 
 def _pointer(label: Label) -> tuple[object, ...]:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from pvl.collections import Quantity
 
-from boresight.renderers.images.pds3 import MARKS, Label
+from boresight.renderers.images.pds3 import MARKS, Label, Pattern
 from boresight.scenarios.errors import BoresightError, one_line
 
 PDS4_SUFFIXES = (".xml",)
@@ -132,6 +132,8 @@ def _whole(path: Path, name: str, text: str | None) -> int:
 def _number(path: Path, name: str, text: str | None) -> float | None:
     if text is None:
         return None
+    if bits := re.fullmatch(r"16#([0-9A-Fa-f]{1,16})#", text):
+        return Pattern(bits[1], 16)
     try:
         return float(text)
     except ValueError:

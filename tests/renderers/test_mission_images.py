@@ -70,6 +70,14 @@ def test_samples_of_each_type_are_read(tmp_path, kind, bits, code):
         np.testing.assert_array_equal(open_product(tmp_path / name).pixels(), EXPECTED)
 
 
+def test_a_missing_pixel_may_be_told_by_its_bits(tmp_path):
+    """As ISIS writes it: 40E00000 are the bits of 7.0."""
+    (tmp_path / "a.img").write_bytes(packed(">f"))
+    (tmp_path / "a.lbl").write_bytes(label(kind="IEEE_REAL", bits=32, more="  MISSING_CONSTANT = 16#40E00000#\n"))
+    with pytest.raises(BoresightError, match=r"1 pixels are marked as missing \(MISSING_CONSTANT = 7\)"):
+        open_product(tmp_path / "a.lbl").pixels()
+
+
 @pytest.mark.parametrize(
     ("pointer", "before"),
     [

@@ -144,6 +144,17 @@ def test_a_label_that_cannot_be_used_is_one_line(tmp_path, old, new, message):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("kind", "code", "bits"),
+    [("IEEE754MSBSingle", ">f", "40E00000"), ("IEEE754LSBDouble", "<d", "401C000000000000"), ("SignedMSB2", ">h", "7")],
+)
+def test_a_missing_pixel_may_be_told_by_its_bits(tmp_path, kind, code, bits):
+    special = f"<Special_Constants><missing_constant>16#{bits}#</missing_constant></Special_Constants></Array_2D"
+    path = written(tmp_path, ("SignedMSB2", kind), ("</Array_2D", special), code=code)
+    with pytest.raises(BoresightError, match=r"1 pixels are marked as missing \(MISSING_CONSTANT = 7\)"):
+        open_product(path).pixels()
+
+
 def test_an_image_to_be_displayed_from_right_to_left_is_refused(tmp_path):
     path = mission_product(tmp_path, *TYPES[0])
     path.write_text(path.read_text().replace("Left to Right", "Right to Left"))
