@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 from boresight.estimators.contract import Assets, Estimate
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
 
@@ -45,6 +46,25 @@ def shares_of_prior(covariance: FloatArray, prior: FloatArray) -> tuple[FloatArr
     """
     shares, axes = eigh(covariance, prior)
     return np.asarray(shares), np.asarray(axes)
+
+
+def calibration_covariance(observation: Observation, T_cam_body: Pose, covariance: FloatArray) -> FloatArray:
+    """(6, 6) covariance of the error that the calibration makes in a maximum a posteriori pose.
+
+    An estimate with the covariance P, the camera taken as exact, has the share K = I - P P_0^-1 of an error of the
+    image, P_0 being the prior's covariance. If the calibration moves the body by errors of the covariance C, see
+    `Observation.calibration_covariance`, that is K C K^T: nothing where the prior decides and not the image.
+    ``covariance`` (6, 6) is P, [rotation_rad, translation_m] in camera axes. The pose itself is not changed: errors of
+    the camera are considered (Schmidt 1966).
+    """
+    of_camera = observation.calibration_covariance(T_cam_body)
+    if not of_camera.any():
+        return of_camera
+    prior = floor_variances(observation.frame.prior_covariance)
+    shares, axes = shares_of_prior(covariance, prior)
+    # V^T P_0 V = I and V^T P V = S, so that K = P_0 V (I - S) V^T.
+    of_image = prior @ axes @ (np.maximum(1.0 - shares, 0.0)[:, None] * axes.T)
+    return np.asarray(of_image @ of_camera @ of_image.T, dtype=np.float64)
 
 
 def free_directions(covariance: FloatArray) -> int:

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import floor_variances, free_directions, shares_of_prior
+from boresight.estimators.prior import calibration_covariance, floor_variances, free_directions, shares_of_prior
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
@@ -235,7 +235,7 @@ class TunedEstimator:
     """
 
     name: ClassVar[str] = "tuned"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     options_model: ClassVar[type[SpecModel]] = TunedOptions
     base: ClassVar[str] = "photometric"
 
@@ -274,7 +274,7 @@ class TunedEstimator:
         tuned = tuned_covariance(estimate.covariance, prior, factor)
         return replace(
             estimate,
-            covariance=tuned + observation.calibration_covariance(estimate.pose),
+            covariance=tuned + calibration_covariance(observation, estimate.pose, estimate.covariance),
             common=None,
             diagnostics={**estimate.diagnostics, "covariance_factor": factor},
         )

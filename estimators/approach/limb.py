@@ -144,7 +144,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 12
+    version: ClassVar[int] = 13
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
@@ -201,9 +201,8 @@ class LimbEstimator:
             directions = scene.rays[points.ray]
             noise, sigma_px = scatter_covariance(residual_px, points.by_position, directions, points.ray, weight)
             by_bias, common = bias_covariance(self._bias_px(sigma_px), weighted, arc)
-            found = fuse(observation, measured, by_pose, noise + by_bias, common)
-        if found.pose is not None and found.covariance is not None:
-            found = replace(found, covariance=found.covariance + observation.calibration_covariance(found.pose))
+            by_camera = by_pose @ observation.calibration_covariance(prior) @ by_pose.T
+            found = fuse(observation, measured, by_pose, noise + by_bias + by_camera, common)
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)
 
     def predict(self, planned: Observation) -> FloatArray | None:
@@ -231,10 +230,8 @@ class LimbEstimator:
             return None
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])
         by_bias, common = bias_covariance(self._bias_px(_POINT_PX), points.by_position, points.ray * _ARCS // count)
-        found = fuse(planned, np.zeros(3), by_pose, _POINT_PX**2 * by_pose[:, 3:] + by_bias, common)
-        if found.covariance is None:
-            return None
-        return replace(found, covariance=found.covariance + planned.calibration_covariance(pose))
+        by_camera = by_pose @ planned.calibration_covariance(pose) @ by_pose.T
+        return fuse(planned, np.zeros(3), by_pose, _POINT_PX**2 * by_pose[:, 3:] + by_bias + by_camera, common)
 
     def _bias_px(self, sigma_px: float) -> float:
         """Bias by camera and reflectance, and by the relief that gives points their errors."""

@@ -37,6 +37,7 @@ from boresight.estimators.landmark.recognizer import (
 )
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
+from boresight.estimators.prior import calibration_covariance
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
@@ -76,7 +77,7 @@ class PhotometricEstimator:
     """
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 12
+    version: ClassVar[int] = 13
     options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
@@ -105,7 +106,7 @@ class PhotometricEstimator:
             return Estimate("failed", found.failure, stages=self._stages(found), timings_s=clock.seconds)
         last = found.fits[-1]
         bound = inverse(last.information)
-        calibration = observation.calibration_covariance(last.T_cam_body)
+        calibration = calibration_covariance(observation, last.T_cam_body, bound)
         return Estimate(
             "ok",
             pose=last.T_cam_body,

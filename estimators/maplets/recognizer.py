@@ -33,6 +33,7 @@ from boresight.estimators.maplets.matching import (
     render_maplets,
 )
 from boresight.estimators.options import parse_options
+from boresight.estimators.prior import calibration_covariance
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -234,7 +235,7 @@ class MapletNavigator:
     """
 
     name: ClassVar[str] = "lmaps"
-    version: ClassVar[int] = 6
+    version: ClassVar[int] = 7
     options_model: ClassVar[type[SpecModel]] = MapletsOptions
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:
@@ -264,12 +265,13 @@ class MapletNavigator:
         if found.failure:
             return reached
         fit = found.fits[-1]
-        calibration = observation.calibration_covariance(fit.posterior.T_cam_body)
+        covariance = fit.posterior.covariance
+        calibration = calibration_covariance(observation, fit.posterior.T_cam_body, covariance)
         return replace(
             reached,
             status="ok",
             pose=fit.posterior.T_cam_body,
-            covariance=fit.posterior.covariance + calibration,
+            covariance=covariance + calibration,
             bound=fit.posterior.bound,
             details={"landmarks": maplet_table(fit, self._scene.database, observation.camera)},
         )

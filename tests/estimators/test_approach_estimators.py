@@ -248,12 +248,23 @@ def test_a_ball_that_is_larger_than_known_moves_the_limb_along_its_common_error(
 
 def test_the_calibration_is_in_the_covariance_of_the_limb():
     _, seen = observed(3)
-    exact, wrong = (
-        estimate("limb", replace(seen, camera_sigma=sigma)).covariance
+    prior = np.linalg.inv(seen.frame.prior_covariance[3:, 3:])
+    exact, wrong = (  # without the prior's part
+        np.linalg.inv(np.linalg.inv(estimate("limb", replace(seen, camera_sigma=sigma)).covariance[3:, 3:]) - prior)
         for sigma in (CameraSigma(), CameraSigma(0.0, 1.0))
     )
     per_px = seen.frame.prior_T_cam_body.translation_m[2] / CAMERA.fx_px
-    assert (wrong - exact)[3, 3] == pytest.approx(per_px**2, rel=0.05)
+    assert (wrong - exact)[0, 0] == pytest.approx(per_px**2, rel=0.05)
+
+
+def test_an_error_of_the_focal_length_leaves_a_range_that_is_known():
+    """Five per cent make 5 % of the range by the size of the body, of which the prior knows 1 %."""
+    _, seen = observed(3)
+    range_m = seen.frame.prior_T_cam_body.translation_m[2]
+    known = np.diag([*np.diag(seen.frame.prior_covariance)[:5], (0.01 * range_m) ** 2])
+    frame, wrong = replace(seen.frame, prior_covariance=known), CameraSigma(0.05, 0.0)
+    sigma = np.sqrt(estimate("limb", replace(seen, frame=frame, camera_sigma=wrong)).covariance[5, 5])
+    assert 0.95 < sigma / (0.01 * range_m) < 1.0
 
 
 @pytest.mark.parametrize("name", ["centroid", "silhouette"])

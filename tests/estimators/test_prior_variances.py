@@ -1,13 +1,15 @@
-"""Priors with zero variances, in the solvers that weight them."""
+"""Priors with zero variances, in the solvers that weight them, and the calibration next to a prior."""
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from boresight.estimators.landmark.pose.posterior import GaussianPose, solve_map
+from boresight.estimators.landmark.pose.posterior import GaussianPose, pose_offset, solve_map
 from boresight.estimators.landmark.pose.problem import PoseProblem
-from boresight.estimators.prior import floor_variances
+from boresight.estimators.prior import calibration_covariance, floor_variances
 from boresight.scenarios.draw import prior_covariance
-from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.geometry import Camera, Pose, look_at
+from boresight.scenarios.observation import CameraSigma, Frame, Observation
 from boresight.scenarios.spec.world import PoseErrorSpec
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
@@ -60,3 +62,38 @@ def test_what_is_known_without_error_stays_and_the_rest_is_as_if_it_were_no_unkn
     assert (np.abs(difference) < 1e-3 * SIGMAS).all()
     free = np.setdiff1d(np.arange(6), sure_of)
     np.testing.assert_allclose(np.diag(exact.covariance)[free], np.diag(nearly.covariance)[free], rtol=0.01)
+
+
+def test_the_calibration_errs_as_far_as_the_image_decides():
+    """Least squares of scipy with a prior, by a camera that is wrong: its focal length makes 6 m of range.
+
+    The range is known to 2 m beforehand and to 5 m by the image, the place across the line of sight by the image alone.
+    """
+    camera, sigma = Camera.from_fov(512, 512, np.radians(18.3)), CameraSigma(focal=0.003, principal_point_px=0.5)
+    truth, noise_px = Pose(np.eye(3), np.array([60.0, -90.0, 2000.0])), 0.3
+    sigmas = np.array([0.01, 0.01, 0.01, 30.0, 30.0, 2.0])
+    rng = np.random.default_rng(6)
+    points_m = rng.uniform(-30.0, 30.0, (40, 3))
+
+    def off(step, seen_px, seen_by, prior):
+        pose = prior.perturbed(step[:3], step[3:])
+        return np.concatenate(
+            [((seen_by.project(pose.transform(points_m)) - seen_px) / noise_px).ravel(), step / sigmas]
+        )
+
+    errors = []
+    for _ in range(400):
+        focal, middle = camera.fx_px * (1.0 + sigma.focal * rng.standard_normal()), 0.5 * rng.standard_normal(2)
+        true = Camera(512, 512, focal, focal, camera.cx_px + middle[0], camera.cy_px + middle[1])
+        seen_px = true.project(truth.transform(points_m)) + noise_px * rng.standard_normal((40, 2))
+        wrong = sigmas * rng.standard_normal(6)
+        prior = truth.perturbed(wrong[:3], wrong[3:])
+        found = least_squares(off, np.zeros(6), args=(seen_px, camera, prior), x_scale=sigmas)
+        errors.append(pose_offset(truth, prior.perturbed(found.x[:3], found.x[3:])))
+    fit = np.linalg.inv(found.jac.T @ found.jac)
+    frame = Frame(np.zeros((512, 512), np.float32), np.array([0.0, 0.0, -1.0]), prior, np.diag(sigmas**2))
+    observation = Observation(camera, frame, sigma)
+    stated = fit + calibration_covariance(observation, truth, fit)
+    # 400 draws give a standard deviation to 3.5 % (1 sigma).
+    np.testing.assert_allclose(np.std(errors, axis=0), np.sqrt(np.diag(stated)), rtol=0.11)
+    assert np.sqrt(stated[5, 5]) < 0.5 * np.sqrt((fit + observation.calibration_covariance(truth))[5, 5])

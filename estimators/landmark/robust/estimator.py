@@ -42,7 +42,7 @@ from boresight.estimators.landmark.robust.search import (
 )
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import floor_variances
+from boresight.estimators.prior import calibration_covariance, floor_variances
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -138,7 +138,7 @@ class ConsensusRecognizer:
     """
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 9
+    version: ClassVar[int] = 10
     options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
@@ -175,7 +175,7 @@ class ConsensusRecognizer:
         return Estimate(
             "ok",
             pose=solution.pose,
-            covariance=covariance + observation.calibration_covariance(solution.pose),
+            covariance=covariance + calibration_covariance(observation, solution.pose, covariance),
             # As if it were known which corner is whose: no candidate takes information away.
             bound=np.linalg.inv(solution.evaluation.hessian[0]),
             stages=(Stage("alignment", solution.alignment.T_cam_body), Stage("recognition", solution.pose)),
@@ -203,7 +203,7 @@ class ConsensusRecognizer:
             return None
         seen, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
         fitted = np.linalg.inv(seen + np.linalg.inv(floor_variances(planned.frame.prior_covariance)))
-        return np.asarray(fitted + planned.calibration_covariance(pose))
+        return np.asarray(fitted + calibration_covariance(planned, pose, fitted))
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
         """Solve for the pose, or return the reason why there is none."""
