@@ -18,6 +18,7 @@ from boresight.scenarios.spec.base import SpecModel
 # 1e-9 rad and 1e-6 m: far below what an image resolves, far above the rounding of a pose in double precision.
 _LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)
 _LEAST_SHARE = 1e-9
+_ROUNDING = 1e-6
 
 
 def floor_variances(covariance: FloatArray) -> FloatArray:
@@ -53,17 +54,20 @@ def calibration_covariance(observation: Observation, T_cam_body: Pose, covarianc
 
     An estimate with the covariance P, the camera taken as exact, has the share K = I - P P_0^-1 of an error of the
     image, P_0 being the prior's covariance. If the calibration moves the body by errors of the covariance C, see
-    `Observation.calibration_covariance`, that is K C K^T: nothing where the prior decides and not the image.
-    ``covariance`` (6, 6) is P, [rotation_rad, translation_m] in camera axes. The pose itself is not changed: errors of
-    the camera are considered (Schmidt 1966).
+    `Observation.calibration_covariance`, that is K C K^T: nothing where the prior decides and not the image. Where P is
+    enlarged by residuals, K is a little larger than the share. Where P exceeds P_0 in some direction the estimate does
+    not use the prior, and has C whole. ``covariance`` (6, 6) is P, [rotation_rad, translation_m] in camera axes. The
+    pose itself is not changed: errors of the camera are considered (Schmidt 1966).
     """
     of_camera = observation.calibration_covariance(T_cam_body)
     if not of_camera.any():
         return of_camera
     prior = floor_variances(observation.frame.prior_covariance)
     shares, axes = shares_of_prior(covariance, prior)
+    if shares[-1] > 1.0 + _ROUNDING:
+        return of_camera
     # V^T P_0 V = I and V^T P V = S, so that K = P_0 V (I - S) V^T.
-    of_image = prior @ axes @ (np.maximum(1.0 - shares, 0.0)[:, None] * axes.T)
+    of_image = prior @ axes @ ((1.0 - shares)[:, None] * axes.T)
     return np.asarray(of_image @ of_camera @ of_image.T, dtype=np.float64)
 
 

@@ -16,6 +16,7 @@ def fuse(
     by_pose: FloatArray,
     covariance: FloatArray,
     common: FloatArray | None = None,
+    considered: FloatArray | None = None,
 ) -> Estimate:
     """Update the prior's translation by a measurement, and return the pose with its covariance as an estimate.
 
@@ -23,7 +24,8 @@ def fuse(
     ``by_pose`` (k, 6) and ``covariance`` (k, k) that of the noise, any units; ``common`` (k,)
     is one standard deviation of the part of the noise that all images share. The attitude is considered and not
     estimated (Schmidt 1966): with the gain K = P H^T (H P H^T + R)^-1, rows of the rotation set to 0, the covariance is
-    (I - K H) P (I - K H)^T + K R K^T. So it holds what the attitude's error does to the position.
+    (I - K H) P (I - K H)^T + K R K^T. So it holds what the attitude's error does to the position. Errors of the camera
+    with a covariance C, ``considered`` (6, 6), that are measured as if the body had moved, add K H C (K H)^T.
     """
     frame = observation.frame
     prior, known = frame.prior_T_cam_body, floor_variances(frame.prior_covariance)
@@ -35,6 +37,9 @@ def fuse(
     left = np.eye(6) - gain @ by_pose
     pose = prior.perturbed(np.zeros(3), step[3:])
     stated = left @ frame.prior_covariance @ left.T + gain @ covariance @ gain.T
+    if considered is not None:
+        of_image = gain @ by_pose
+        stated = stated + of_image @ considered @ of_image.T
     moved = None if common is None else gain @ common
     return Estimate("ok", pose=pose, covariance=np.asarray(0.5 * (stated + stated.T)), common=moved)
 

@@ -119,8 +119,9 @@ class LimbEstimator:
     of the shape's facets there, give sub-pixel points, and distances along the normals are minimised. The light is
     shared by Lambert's law and that of Lommel and Seeliger as in the whole image; cast shadows are left out. The three
     coordinates of the position are fused with the prior; the attitude stays that of the prior. The covariance holds the
-    errors of the points, whose correlation along the limb is estimated in each image, a bias, and what the error of the
-    prior's attitude does to the position. Half of the bias's variance is stated as common to all images.
+    errors of the points, whose correlation along the limb is estimated in each image, a bias, and what the errors of
+    the prior's attitude and of the calibration do to the position. Half of the bias's variance is stated as common to
+    all images.
 
     Use it when
     -----------
@@ -201,8 +202,8 @@ class LimbEstimator:
             directions = scene.rays[points.ray]
             noise, sigma_px = scatter_covariance(residual_px, points.by_position, directions, points.ray, weight)
             by_bias, common = bias_covariance(self._bias_px(sigma_px), weighted, arc)
-            by_camera = by_pose @ observation.calibration_covariance(prior) @ by_pose.T
-            found = fuse(observation, measured, by_pose, noise + by_bias + by_camera, common)
+            of_camera = observation.calibration_covariance(prior)
+            found = fuse(observation, measured, by_pose, noise + by_bias, common, of_camera)
         return replace(found, stages=stages, diagnostics=told, timings_s=clock.seconds)
 
     def predict(self, planned: Observation) -> FloatArray | None:
@@ -230,8 +231,8 @@ class LimbEstimator:
             return None
         by_pose = points.by_position.T @ np.hstack([points.by_attitude, points.by_position])
         by_bias, common = bias_covariance(self._bias_px(_POINT_PX), points.by_position, points.ray * _ARCS // count)
-        by_camera = by_pose @ planned.calibration_covariance(pose) @ by_pose.T
-        return fuse(planned, np.zeros(3), by_pose, _POINT_PX**2 * by_pose[:, 3:] + by_bias + by_camera, common)
+        noise, of_camera = _POINT_PX**2 * by_pose[:, 3:] + by_bias, planned.calibration_covariance(pose)
+        return fuse(planned, np.zeros(3), by_pose, noise, common, of_camera)
 
     def _bias_px(self, sigma_px: float) -> float:
         """Bias by camera and reflectance, and by the relief that gives points their errors."""

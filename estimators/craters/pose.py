@@ -25,7 +25,7 @@ from boresight.estimators.craters.matching.association import (
 )
 from boresight.estimators.craters.matching.transfer import by_small_motion, occluded
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance
+from boresight.estimators.prior import calibration_covariance, floor_variances
 from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.errors import BoresightError
@@ -189,7 +189,7 @@ def expected_craters(
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
     return rows, ExpectedCraters(
-        ellipses, by_point @ by_small_motion(turned), frame.prior_covariance, noise, np.zeros(6)
+        ellipses, by_point @ by_small_motion(turned), floor_variances(frame.prior_covariance), noise, np.zeros(6)
     )
 
 

@@ -210,6 +210,8 @@ def _shift_of_overlap(observed: Image, rendered: Image) -> FloatArray:
     spread_second = _sums_in_common(second**2, -down, -right) - sum_second**2 / count
     scale = np.sqrt(np.maximum(spread_first, 0.0) * np.maximum(spread_second, 0.0))
     usable = (count >= _LEAST_OVERLAP * height * width) & (scale > 1e-9 * scale.max())
+    if not usable.any():  # nothing to compare, as in a saturated image
+        return np.zeros(2)
     coefficient = np.where(usable, covariance / np.where(usable, scale, 1.0), -1.0)
     row, column = (int(i) for i in np.unravel_index(int(coefficient.argmax()), coefficient.shape))
     dv = down[row] + _peak_offset(coefficient[:, column], row)

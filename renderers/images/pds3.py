@@ -177,9 +177,11 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
 def _mark(label: Label, image: Mapping[str, object], name: str, dtype: np.dtype[np.generic]) -> float | None:
     """Return a number that stands for no brightness, as it is stored; None if there is none."""
     value = image.get(name)
-    if isinstance(value, Pattern) and 0 <= value < 1 << 8 * dtype.itemsize:
-        return float(np.array(value, f"u{dtype.itemsize}").view(dtype.newbyteorder("=")))
-    return _number(label, image, name, None)
+    if not isinstance(value, Pattern):
+        return _number(label, image, name, None)
+    if not 0 <= value < 1 << 8 * dtype.itemsize:
+        raise label.fault(f"{name}: {value:#x} is no pattern of {8 * dtype.itemsize} bits")
+    return float(np.array(value, f"u{dtype.itemsize}").view(dtype.newbyteorder("=")))
 
 
 def _pointer(label: Label) -> tuple[object, ...]:
@@ -248,7 +250,7 @@ def _number(label: Label, values: Mapping[str, object], key: str, default: float
     if value is None or (isinstance(value, str) and value.upper() in ("N/A", "UNK", "NULL")):
         return default
     found = number(value)
-    if not abs(found) <= _LARGEST:
+    if isinstance(value, Pattern) or not abs(found) <= _LARGEST:
         raise label.fault(f"{key}: {value!r} is not a finite number of any use")
     return found
 

@@ -92,7 +92,7 @@ def _image(path: Path, image: _Element, display: str | None) -> dict[str, object
             f"{path}: Axis_Array: of {len(axes)} axes, sequence_number 1 is {names[0][:40]} and 2 is {names[1][:40]}:"
             " only images that are stored line by line (1 Line, 2 Sample) are read"
         )
-    numbers = {"SCALING_FACTOR": "scaling_factor", "OFFSET": "value_offset"} | {name: name.lower() for name in MARKS}
+    numbers = {"SCALING_FACTOR": "scaling_factor", "OFFSET": "value_offset"}
     found: dict[str, object] = {
         "LINES": _whole(path, "elements", _text(axes["1"], "elements")),
         "LINE_SAMPLES": _whole(path, "elements", _text(axes["2"], "elements")),
@@ -100,6 +100,7 @@ def _image(path: Path, image: _Element, display: str | None) -> dict[str, object
         "LINE_DISPLAY_DIRECTION": _DISPLAYS.get(display or ""),
         **dict(zip(("SAMPLE_TYPE", "SAMPLE_BITS"), _TYPES[kind], strict=True)),
         **{keyword: _number(path, name, _text(image, name)) for keyword, name in numbers.items()},
+        **{name: _mark(path, name.lower(), _text(image, name.lower())) for name in MARKS},
     }
     return {name: value for name, value in found.items() if value is not None}
 
@@ -132,12 +133,16 @@ def _whole(path: Path, name: str, text: str | None) -> int:
 def _number(path: Path, name: str, text: str | None) -> float | None:
     if text is None:
         return None
-    if bits := re.fullmatch(r"16#([0-9A-Fa-f]{1,16})#", text):
-        return Pattern(bits[1], 16)
     try:
         return float(text)
     except ValueError:
         raise BoresightError(f"{path}: {name}: {text[:40]!r} is not a number") from None
+
+
+def _mark(path: Path, name: str, text: str | None) -> float | None:
+    """Return a number that stands for no brightness, or its bits."""
+    bits = re.fullmatch(r"16#([0-9A-Fa-f]{1,16})#", text or "")
+    return Pattern(bits[1], 16) if bits else _number(path, name, text)
 
 
 def _exposure(element: _Element | None) -> Quantity | str | None:

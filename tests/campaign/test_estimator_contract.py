@@ -20,7 +20,7 @@ from boresight.estimators.registry import estimator_class, estimator_names
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.observation import CameraSigma, Frame, Observation
 
 MAPLETS = {"spacing_m": 15, "side": 15}
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
@@ -36,6 +36,8 @@ QUICK = {
 # Need what the scene has not: their contract is tested with bodies that have craters, and with stars in images.
 ELSEWHERE = {"crater-pose", "stars"}
 NAMES = tuple(name for name in estimator_names() if name not in ELSEWHERE)
+# State the errors of the calibration, with a fit that has the prior.
+CALIBRATED = ("landmark-orb", "landmark-ransac", "landmark-sift", "limb", "lmaps", "photometric", "tuned")
 # The control row answers whatever the image shows.
 BLIND = {"prior"}
 
@@ -134,6 +136,27 @@ def test_a_good_image_is_answered_by_the_contract(estimator, bench):
             assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()
         lengths = {name: {len(column) for column in table.values()} for name, table in estimate.details.items()}
         assert all(len(found) == 1 for found in lengths.values()), lengths
+
+
+@pytest.mark.parametrize("estimator", CALIBRATED, indirect=True)
+def test_the_calibration_errs_as_far_as_the_image_decides(estimator, bench):
+    """Of a wrong focal length the range errs by the share of the image; of a wrong middle the place does whole."""
+    seen = bench.observation(0)
+    known, range_m = seen.frame.prior_covariance, seen.frame.prior_T_cam_body.translation_m[2]
+
+    def added_m(prior, *sigmas):
+        given = replace(seen, frame=replace(seen.frame, prior_covariance=prior))
+        exact, wrong = (
+            answer(estimator, replace(given, camera_sigma=s)) for s in (CameraSigma(), CameraSigma(*sigmas))
+        )
+        np.testing.assert_array_equal(wrong.pose.translation_m, exact.pose.translation_m)
+        return np.sqrt(np.maximum(np.diag(wrong.covariance - exact.covariance)[3:], 0.0))
+
+    across_m = added_m(known, 0.0, 2.0)[:2] * seen.camera.fx_px / range_m
+    assert across_m.min() > 1.5 and across_m.max() < 2.1
+    sure = known * np.outer([1, 1, 1, 1, 1, 1e-4], [1, 1, 1, 1, 1, 1e-4])
+    shares = [added_m(prior, 0.005, 0.0)[2] / (0.005 * range_m) for prior in (known, sure)]
+    assert 0.03 < shares[0] < 1.01 and shares[1] < 1e-3
 
 
 @pytest.mark.parametrize("level", [0.0, 100.0])

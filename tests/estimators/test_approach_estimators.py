@@ -246,25 +246,21 @@ def test_a_ball_that_is_larger_than_known_moves_the_limb_along_its_common_error(
     assert np.linalg.eigvalsh(left / np.outer(sigma, sigma)).min() > 0.0
 
 
-def test_the_calibration_is_in_the_covariance_of_the_limb():
-    _, seen = observed(3)
-    prior = np.linalg.inv(seen.frame.prior_covariance[3:, 3:])
-    exact, wrong = (  # without the prior's part
-        np.linalg.inv(np.linalg.inv(estimate("limb", replace(seen, camera_sigma=sigma)).covariance[3:, 3:]) - prior)
-        for sigma in (CameraSigma(), CameraSigma(0.0, 1.0))
-    )
-    per_px = seen.frame.prior_T_cam_body.translation_m[2] / CAMERA.fx_px
-    assert (wrong - exact)[0, 0] == pytest.approx(per_px**2, rel=0.05)
-
-
-def test_an_error_of_the_focal_length_leaves_a_range_that_is_known():
-    """Five per cent make 5 % of the range by the size of the body, of which the prior knows 1 %."""
+@pytest.mark.parametrize(("axis", "wrong"), [(3, CameraSigma(0.0, 1.0)), (5, CameraSigma(0.01, 0.0))])
+@pytest.mark.parametrize("range_sigma", [1e-5, 0.01, 1.0])
+def test_the_calibration_is_in_the_covariance_of_the_limb_as_far_as_it_decides(axis, wrong, range_sigma):
+    """The range is known to a share of ``range_sigma`` beforehand; a pixel is across it, a focal length along it."""
     _, seen = observed(3)
     range_m = seen.frame.prior_T_cam_body.translation_m[2]
-    known = np.diag([*np.diag(seen.frame.prior_covariance)[:5], (0.01 * range_m) ** 2])
-    frame, wrong = replace(seen.frame, prior_covariance=known), CameraSigma(0.05, 0.0)
-    sigma = np.sqrt(estimate("limb", replace(seen, frame=frame, camera_sigma=wrong)).covariance[5, 5])
-    assert 0.95 < sigma / (0.01 * range_m) < 1.0
+    prior = np.diag([*np.diag(seen.frame.prior_covariance)[:5], (range_sigma * range_m) ** 2])
+    given = replace(seen, frame=replace(seen.frame, prior_covariance=prior))
+    exact, stated = (estimate("limb", replace(given, camera_sigma=sigma)) for sigma in (CameraSigma(), wrong))
+    np.testing.assert_array_equal(stated.pose.translation_m, exact.pose.translation_m)
+    whole_m = range_m * (wrong.focal if axis == 5 else wrong.principal_point_px / CAMERA.fx_px)
+    share = 1.0 - exact.covariance[axis, axis] / prior[axis, axis]
+    added_m2 = (stated.covariance - exact.covariance)[axis, axis]
+    assert added_m2 == pytest.approx((share * whole_m) ** 2, rel=0.05, abs=1e-6)
+    np.testing.assert_array_equal(stated.covariance[:3, :3], prior[:3, :3])
 
 
 @pytest.mark.parametrize("name", ["centroid", "silhouette"])

@@ -171,6 +171,13 @@ def test_a_shift_between_pixels_is_found_where_the_frame_cuts_the_body():
     np.testing.assert_allclose(found, (5.4, -3.3), atol=0.1)
 
 
+@pytest.mark.parametrize("image", [np.zeros((64, 96)), np.ones((64, 96)), np.full((64, 96), np.nan)])
+def test_an_image_without_contrast_shifts_nothing(image):
+    flat, texture = image.astype(np.float32), scenery()[:64, :96]
+    for pair in ((texture, flat), (np.ones_like(flat), flat)):
+        np.testing.assert_array_equal(best_shift(*pair), 0.0)
+
+
 def test_the_image_aligns_where_the_centroid_is_misled():
     observed = blob(120.0, 100.0)
     observed[:, 150:] = 0.0  # a part in a shadow that the mesh does not cast

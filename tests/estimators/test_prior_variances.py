@@ -96,4 +96,9 @@ def test_the_calibration_errs_as_far_as_the_image_decides():
     stated = fit + calibration_covariance(observation, truth, fit)
     # 400 draws give a standard deviation to 3.5 % (1 sigma).
     np.testing.assert_allclose(np.std(errors, axis=0), np.sqrt(np.diag(stated)), rtol=0.11)
+    # An estimate by the image alone, whose range is worse than the prior's, has all of it.
+    alone = np.diag([0.003, 0.003, 0.002, 0.1, 0.1, 4.0]) ** 2
+    np.testing.assert_array_equal(
+        calibration_covariance(observation, truth, alone), observation.calibration_covariance(truth)
+    )
     assert np.sqrt(stated[5, 5]) < 0.5 * np.sqrt((fit + observation.calibration_covariance(truth))[5, 5])

@@ -175,6 +175,9 @@ FAULTS = {
     "colour": (label(more="  BANDS = 3\n"), "BANDS: 3 is not 1"),
     "beyond the end": (label(pointer='^IMAGE = ("A.IMG", 2)'), "too short: 5 lines of 14 bytes from byte 512"),
     "no size": (label().replace(b"LINES = 5", b"LINES = N"), "LINES: 'N' is not a whole number"),
+    "bits that are too many": (label(more="  MISSING_CONSTANT = 16#10003#\n"), "0x10003 is no pattern of 16 bits"),
+    "negative bits": (label(more="  MISSING_CONSTANT = 16#-3#\n"), "-0x3 is no pattern of 16 bits"),
+    "a scale by its bits": (label(more="  SCALING_FACTOR = 16#3#\n"), "SCALING_FACTOR: 3 is not a finite number"),
     "gaps": (label(more="  MISSING_CONSTANT = 3\n"), r"1 pixels are marked as missing"),
 }
 

@@ -155,6 +155,12 @@ def test_a_missing_pixel_may_be_told_by_its_bits(tmp_path, kind, code, bits):
         open_product(path).pixels()
 
 
+def test_a_scale_is_no_pattern_of_bits(tmp_path):
+    path = written(tmp_path, ("<unit>DN</unit>", "<scaling_factor>16#40000000#</scaling_factor>"))
+    with pytest.raises(BoresightError, match="scaling_factor: '16#40000000#' is not a number"):
+        open_product(path).pixels()
+
+
 def test_an_image_to_be_displayed_from_right_to_left_is_refused(tmp_path):
     path = mission_product(tmp_path, *TYPES[0])
     path.write_text(path.read_text().replace("Left to Right", "Right to Left"))
