@@ -111,13 +111,13 @@ def test_clutter_leaves_less_of_the_information():
 
 
 def test_the_calibration_enters():
-    """Whole where no prior takes a part of the error, as here, where it is wide."""
-    found, declared = database(), CameraSigma(focal=1e-3)
-    wide = replace(PLANNED, frame=replace(PLANNED.frame, prior_covariance=1e8 * PRIOR))
-    for method in (harris(found), ransac(found)):
-        added = method.predict(replace(wide, camera_sigma=declared)) - method.predict(wide)
-        focal_m2 = (1e-3 * POSE.translation_m[2]) ** 2
-        np.testing.assert_allclose(added, np.diag([0, 0, 0, 0, 0, focal_m2]), atol=1e-6 * focal_m2)
+    """Whole without a prior, and with one by the share of the image, I - P P_0^-1."""
+    found, off = database(), replace(PLANNED, camera_sigma=CameraSigma(focal=1e-3))
+    whole = np.diag([0, 0, 0, 0, 0, (1e-3 * POSE.translation_m[2]) ** 2])
+    share = np.eye(6) - ransac(found).predict(PLANNED) @ np.linalg.inv(PRIOR)
+    for method, expected in ((harris(found), whole), (ransac(found), share @ whole @ share.T)):
+        added = method.predict(off) - method.predict(PLANNED)
+        np.testing.assert_allclose(added, expected, atol=1e-12)
     assert harris(found, pose={"method": "closed-form"}).predict(PLANNED) is None
 
 
