@@ -11,7 +11,7 @@ from pydantic import Field
 
 from boresight.estimators.approach.body import BODY_SHARE, LitBody, find_body, lit_area_px, row_ends, sphere_px
 from boresight.estimators.approach.ellipsoid import Ellipsoid
-from boresight.estimators.approach.fusion import fuse
+from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.limb_errors import bias_covariance, scatter_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
 from boresight.estimators.approach.profile import (
@@ -62,7 +62,10 @@ class LimbOptions(SpecModel):
     # An outline is where heights are greatest. In renderings of four bodies, 30 to 300 px across, the shift is 0.6 of
     # the errors outwards where the onboard shape lacks the relief, 0.2 inwards where it has other relief, 0 if exact.
     shift: float = Field(
-        0.4, ge=0, description="The same by unknown relief, over the errors of the points; 0 for a shape that is exact"
+        0.4,
+        ge=0,
+        description="The same by unknown relief, over the errors of the points; 0 for a shape that is exact, where the"
+        " errors of points are independent",
     )
     misfit_px: float = Field(
         1.6,
@@ -120,7 +123,8 @@ class LimbEstimator:
     shared by Lambert's law and that of Lommel and Seeliger as in the whole image; cast shadows are left out. The three
     coordinates of the position are fused with the prior; the attitude stays that of the prior. The covariance holds the
     errors of the points, whose correlation along the limb is estimated in each image, a bias, and what the errors of
-    the prior's attitude and of the calibration do to the position. Half of the bias's variance is stated as common to
+    the prior's attitude and of the calibration do to the position. Of a shape that is known exactly (``shift: 0``) the
+    errors of points are independent. Half of the bias's variance is stated as common to
     all images.
 
     Use it when
@@ -145,7 +149,7 @@ class LimbEstimator:
     """
 
     name: ClassVar[str] = "limb"
-    version: ClassVar[int] = 13
+    version: ClassVar[int] = 14
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
@@ -200,7 +204,12 @@ class LimbEstimator:
             measured = weighted.T @ (share * residual_px + points.by_position @ off_m)
             arc = points.ray * _ARCS // count
             directions = scene.rays[points.ray]
-            noise, sigma_px = scatter_covariance(residual_px, points.by_position, directions, points.ray, weight)
+            if self._options.shift > 0.0:
+                noise, sigma_px = scatter_covariance(residual_px, points.by_position, directions, points.ray, weight)
+            else:
+                # Heights are exact, so that nothing makes the errors of neighbouring points alike.
+                each, sigma_px = np.arange(len(weight)), 0.0
+                noise = grouped_covariance(residual_px[:, None] * weighted, each, 3)
             by_bias, common = bias_covariance(self._bias_px(sigma_px), weighted, arc)
             of_camera = observation.calibration_covariance(prior)
             found = fuse(observation, measured, by_pose, noise + by_bias, common, of_camera)

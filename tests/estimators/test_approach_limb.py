@@ -17,12 +17,14 @@ from boresight.estimators.approach.fusion import grouped_covariance
 from boresight.estimators.approach.limb_errors import correlated_covariance, limb_covariance, scatter_covariance
 from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
 from boresight.estimators.approach.profile import ACROSS_PX, DEPTHS_PX, blurred, fit_limb, sampled, second_law
+from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.bodies.embedded import EMBEDDED, icosphere
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, View, look_at
-from boresight.scenarios.observation import Frame
+from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.camera import DetectorSpec
 
 
 def test_the_outline_of_an_ellipsoid_is_its_dual_conic():
@@ -160,6 +162,36 @@ def test_the_closed_form_of_an_arc_is_the_fit_s():
     assert 1.2 < half < np.pi / 2
     np.testing.assert_allclose(np.diag(found), np.diag(stated), rtol=0.15)
     assert found[0, 2] == pytest.approx(stated[0, 2], rel=0.15)
+
+
+def test_of_an_exact_ball_the_closed_form_is_stated_and_holds():
+    """Renderings with noise, a wide prior and no errors but those of the points."""
+    camera, ball, range_m = Camera(320, 320, 2000.0, 2000.0, 160.0, 160.0), icosphere(6, 250.0), 5000.0
+    renderer = MitsubaRenderer(ball, LambertSpec(), 16, variant=choose_variant())
+    method = limb.LimbEstimator(ball, limb.LimbOptions(shift=0.0, bias_px=0.0))
+    sigmas = np.array([1e-9] * 3 + [50.0, 50.0, 500.0])
+    ratio, nees = [], []
+    for trial in range(30):
+        rng = np.random.default_rng((12, trial))
+        direction = rng.normal(size=3)
+        truth = look_at(range_m * direction / np.linalg.norm(direction), rng.uniform(0.0, 6.0))
+        truth = truth.perturbed(np.zeros(3), np.array([*rng.uniform(-20.0, 20.0, 2), 0.0]))
+        phase, around = np.radians(rng.uniform(30.0, 90.0)), rng.uniform(0.0, 6.28)
+        sun = np.array([np.sin(phase) * np.cos(around), np.sin(phase) * np.sin(around), -np.cos(phase)])
+        image = renderer.render(View(camera, truth, truth.rotation.T @ sun))
+        image = Detector(DetectorSpec()).expose(image, rng)
+        prior = truth.perturbed(np.zeros(3), rng.normal(size=3) * [5.0, 5.0, 50.0])
+        found = method.estimate(Observation(camera, Frame(image, sun, prior, np.diag(sigmas**2))), rng=rng)
+        points, scatter_px = found.diagnostics["limb_points"], found.diagnostics["residual_px"]
+        sigma_px = scatter_px * np.sqrt(points / (points - 3))
+        half_rad = np.pi * points / limb._ray_count(200.0)
+        closed = limb_covariance(points, sigma_px, half_rad, 250.0, range_m, 2000.0)
+        stated = found.covariance[3:, 3:]
+        ratio.append(np.sqrt(np.linalg.eigvalsh(stated) / np.linalg.eigvalsh(closed)))
+        error_m = found.pose.translation_m - truth.translation_m
+        nees.append(error_m @ np.linalg.solve(stated, error_m) / 3.0)
+    np.testing.assert_allclose(np.median(ratio, axis=0), 1.0, atol=0.15)
+    assert 0.6 < np.mean(nees) < 1.5
 
 
 def outline_errors(rng, count, length_deg, share):
