@@ -18,6 +18,7 @@ from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX, CraterTruth
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose, View
+from boresight.scenarios.geometry.pose import plane_axes
 from boresight.scenarios.load import LoadedScenario
 
 _QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
@@ -117,15 +118,20 @@ def consistency(
     ``covariance`` and ``bound`` are (6, 6) [rotation_rad, translation_m] in camera axes: the estimator's covariance and
     the Cramer-Rao bound of its observations; None where it gives none. ``true_covariance`` (6, 6) is that of ``true``,
     if that is a reference that errs itself. Of the result, ``nees`` is e^T P^-1 e with 6 degrees of freedom, for e in
-    est = true.perturbed(e) and P the sum of the covariances of both; ``position_sigma_m`` and ``attitude_sigma_deg``
+    est = true.perturbed(e) and P the sum of the covariances of both; ``sight_nees`` the same with 2 degrees of freedom,
+    of e across the direction to the body's origin; ``position_sigma_m`` and ``attitude_sigma_deg``
     are the RMS errors of the camera in the body and of the attitude that the estimator's covariance predicts, and
     ``position_bound_m`` and ``attitude_bound_deg`` those of the bound.
     """
     position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
     position_bound_m, attitude_bound_deg = _foretold(bound, estimated)
     total = covariance if covariance is None or true_covariance is None else covariance + true_covariance
+    offset = pose_offset(true, estimated)
+    sight = true.translation_m / np.linalg.norm(true.translation_m)
+    across = np.concatenate(plane_axes(sight[None]))
     return {
-        "nees": nees(pose_offset(true, estimated), total),
+        "nees": nees(offset, total),
+        "sight_nees": nees(across @ offset[3:], None if total is None else across @ total[3:, 3:] @ across.T),
         "position_sigma_m": position_sigma_m,
         "attitude_sigma_deg": attitude_sigma_deg,
         "position_bound_m": position_bound_m,

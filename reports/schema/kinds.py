@@ -44,6 +44,7 @@ _IMAGE = KindSchema(
             "error of the pose weighted by the estimator's covariance, with that of the reference pose added if it is"
             " known (6 degrees of freedom)",
         ),
+        number("sight_nees", "the same of the error across the direction to the body's origin (2 degrees of freedom)"),
         number("position_sigma_m", "RMS position error that the estimator's covariance foretells"),
         number("attitude_sigma_deg", "RMS attitude error that the estimator's covariance foretells"),
         number("position_bound_m", "RMS position error at the Cramer-Rao bound of its observations"),

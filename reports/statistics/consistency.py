@@ -58,20 +58,21 @@ _NOTE = (
 )
 
 NEES, NIS = "nees", "innovation"
-AT_EPOCH = f"{NEES}_at_epoch"
+AT_EPOCH, SIGHT = f"{NEES}_at_epoch", "sight_nees"
 _AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
-POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES = 6, 6, 3
+POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES, SIGHT_DEGREES = 6, 6, 3, 2
 _NIS_DEGREES = "innovation_degrees"
 _TAILS = (0.025, 0.975)
 _SURE = 5.0
+_SAME_DEG = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalisedErrors:
     """One kind of squared error of the trials of a run, normalised by its covariance.
 
-    ``name`` is ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch`` of position
-    and velocity of an orbit, or ``innovation``. ``expected`` is the mean where covariances are true, in the unit of
+    ``name`` is ``nees`` of a pose, ``sight_nees`` of the direction to the body's origin, ``nees_after_K`` of a position
+    after K revolutions, ``nees_at_epoch`` of position and velocity of an orbit, or ``innovation``. ``expected`` is the mean where covariances are true, in the unit of
     ``ratio``. Columns of the table: ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of
     innovations per measurement), ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected) and,
     of poses, ``worse`` (whether the position is worse than the prior's).
@@ -110,6 +111,10 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
         solved = table[table["status"] == "ok"]
         worse = solved["position_error_m"] > solved["prior_position_error_m"]
         yield from _some(NEES, POSE_DEGREES, solved.assign(worse=worse), NEES, POSE_DEGREES)
+        # Where an estimator keeps the prior's attitude, most of the NEES of its pose is the prior's.
+        kept = solved["attitude_error_deg"].sub(solved["prior_attitude_error_deg"]).abs() < _SAME_DEG
+        moved = set(solved.loc[~kept, "estimator"])
+        yield from _some(SIGHT, SIGHT_DEGREES, solved[~solved["estimator"].isin(moved)], SIGHT, SIGHT_DEGREES)
     elif source == "epochs":
         for k, ends in revolution_ends(table):
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, ends, NEES, POSITION_DEGREES)
@@ -129,7 +134,7 @@ def nees_of_all(run: RunData) -> dict[str, pd.DataFrame]:
     """
     found: dict[str, pd.DataFrame] = {}
     for kind in normalised_errors(run):
-        if kind.name != NIS:
+        if kind.name not in (NIS, SIGHT):
             table = kind.table.assign(ratio=kind.table["ratio"] / kind.expected)
             found |= {str(name): own for name, own in table.groupby("estimator", sort=False)}
     return {name: found[name] for name in run.manifest.estimators if name in found}
@@ -150,7 +155,12 @@ def normalised_label(name: str) -> str:
     if name.startswith(_AFTER):
         turns = name.removeprefix(_AFTER)
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
-    known = {NEES: "NEES of the pose", AT_EPOCH: "NEES of the orbit at its epoch", NIS: "NIS of a measurement"}
+    known = {
+        NEES: "NEES of the pose",
+        SIGHT: "NEES across the line of sight",
+        AT_EPOCH: "NEES of the orbit at its epoch",
+        NIS: "NIS of a measurement",
+    }
     return known.get(name, name)
 
 

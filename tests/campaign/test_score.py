@@ -19,9 +19,17 @@ def test_nees_of_errors_drawn_from_the_covariance_is_chi_square():
     """The foreign yardstick is scipy's multivariate normal; 2000 draws, 6 degrees of freedom."""
     P = covariance()
     errors = multivariate_normal(np.zeros(6), P).rvs(2000, random_state=1)
-    found = [consistency(TRUE.perturbed(e[:3], e[3:]), TRUE, P, None)["nees"] for e in errors]
-    low, high = chi2.ppf([0.001, 0.999], 6 * 2000) / 2000
-    assert low < np.mean(found) < high
+    found = [consistency(TRUE.perturbed(e[:3], e[3:]), TRUE, P, None) for e in errors]
+    for name, degrees in (("nees", 6), ("sight_nees", 2)):
+        low, high = chi2.ppf([0.001, 0.999], degrees * 2000) / 2000
+        assert low < np.mean([one[name] for one in found]) < high
+
+
+def test_a_wrong_range_or_attitude_is_no_error_across_the_line_of_sight():
+    along = 50.0 * TRUE.translation_m / np.linalg.norm(TRUE.translation_m)
+    told = consistency(TRUE.perturbed(np.array([1e-3, 2e-3, 3e-3]), along), TRUE, np.eye(6), None)
+    assert told["sight_nees"] == pytest.approx(0.0, abs=1e-6)
+    assert told["nees"] == pytest.approx(2500.0, rel=1e-6)
 
 
 def test_foretold_errors_are_the_rms_of_errors_drawn_from_the_covariance():

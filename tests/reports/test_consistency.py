@@ -16,6 +16,7 @@ from boresight.reports.statistics.consistency import (
     INSIDE,
     NEES,
     RATIO,
+    SIGHT,
     WRONG,
     NormalisedErrors,
     consistency_grid,
@@ -78,6 +79,21 @@ def test_the_top_of_the_page_says_whether_covariances_hold(builder, scale, word)
 
 def test_without_covariances_the_page_says_nothing_of_them(builder):
     assert covariance_line(store(builder, 1.0, known=False)) == ""
+
+
+@pytest.mark.parametrize(("attitude_deg", "expected"), [(0.5, None), (2.0, 2)])
+def test_methods_that_keep_the_attitude_are_held_to_the_line_of_sight(builder, attitude_deg, expected):
+    rng = np.random.default_rng(4)
+    for trial in range(50):
+        prior = {f"prior_{key}": value for key, value in pose_error(np.array([50.0, 0.0, 0.0]), 2.0).items()}
+        builder.add(
+            "rows", trial=trial, scenario="rock", estimator="landmark-harris", reason="", image="", n_landmarks=0,
+            status="ok", nees=6.0, sight_nees=rng.chisquare(2), **prior, **pose_error(np.ones(3), attitude_deg),
+        )  # fmt: skip
+    builder.write(scenarios={"rock": {}}, report=None)
+    kinds = {kind.name: kind for kind in normalised_errors(read_run(builder.folder))}
+    assert kinds[NEES].expected == 6
+    assert (kinds[SIGHT].expected if SIGHT in kinds else None) == expected
 
 
 def test_a_covariance_that_is_too_small_shows(builder):

@@ -199,7 +199,7 @@ class SingleImage(ImageMethods[ImageDraw, Estimate]):
     """
 
     name = "single-image"
-    version = 2
+    version = 3
     block_trials = 10
     databases = True
 
