@@ -70,7 +70,15 @@ def metric_values(run: RunData, metric: Measure) -> pd.Series:
 
 
 def prior_values(run: RunData, metric: Measure) -> pd.Series | None:
-    """Return the same of the prior, known of every trial with one; None of a metric that the prior has not."""
+    """Return the same of the prior, known of every trial with one; None of a metric that the prior has not.
+
+    The line of sight of the prior is that of the estimator ``prior``, if it is in the run.
+    """
+    if metric.name == SIGHT and CONTROL in run.manifest.estimators:
+        of_prior = run.rows.assign(value=_sight_error_m(run.rows))[run.rows["estimator"] == CONTROL]
+        by_trial = of_prior.set_index(["scenario", "trial"])["value"]
+        trials = pd.MultiIndex.from_frame(run.rows[["scenario", "trial"]])
+        return pd.Series(by_trial.reindex(trials).to_numpy(), index=run.rows.index)
     if metric.name not in POSE_METRICS or run.rows[f"prior_{POSE_COLUMNS[0]}"].isna().all():
         return None
     return _size(run.rows, "prior_", metric.name)
@@ -173,6 +181,7 @@ NAMES = ("name", "description")
 """Keys of a scenario that change no result."""
 _DRAWN = ("viewpoint", "lighting", "pose_error", "images", "sequence")
 _MISSING = object()
+_ROUNDED = 1.0 + 1e-9
 
 
 def tabulate_trials(runs: Sequence[RunData], metric: Measure, factors: Sequence[str]) -> pd.DataFrame:
@@ -197,6 +206,8 @@ def _of_run(run: RunData, name: str, metric: Measure, factors: Sequence[str]) ->
     rows, numbers, prior = run.rows, trial_numbers(run), prior_values(run, metric)
     value = numbers.get(metric.name, pd.Series(np.nan, index=rows.index))
     posed, seed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy(), str(run.manifest.seed)
+    # Of the metric that is compared, where the prior's is known: a method of the line of sight leaves the attitude.
+    worse = ~succeeded(rows) if prior is None else (value > _ROUNDED * prior).to_numpy()
 
     def by_scenario(text: Callable[[Mapping[str, Any]], str]) -> pd.Series:
         return rows["scenario"].map({name: text(spec) for name, spec in run.manifest.scenarios.items()})
@@ -208,7 +219,7 @@ def _of_run(run: RunData, name: str, metric: Measure, factors: Sequence[str]) ->
         rest=by_scenario(lambda spec: remainder(spec, factors)) + ("" if ESTIMATOR in factors else rows["estimator"]),
         value=value,
         prior=np.nan if prior is None else prior,
-        failed=np.where(posed, ~succeeded(rows), value.isna()) | value.isna(),
+        failed=(posed & worse) | value.isna(),
         cluster=np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         **{one: rows[one].astype(float) if one in rows else np.nan for one in CONDITIONS},
         **{one: numbers.get(one, np.nan) for one in (LATERAL, BORESIGHT, POSE_COLUMNS[1])},

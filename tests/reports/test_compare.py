@@ -334,6 +334,20 @@ def test_the_error_of_the_line_of_sight_is_that_of_the_direction_to_the_body_in_
     np.testing.assert_allclose(values[-3:], [30.0, 30.0, 0.0], rtol=1e-5)
 
 
+def test_a_comparison_of_the_line_of_sight_counts_as_failures_what_is_worse_there(tmp_path):
+    """Position errors of 60 m are above the prior's 40 m, by the attitude that the method keeps."""
+    builder = RunBuilder(tmp_path / "run")
+    for label, off_m in (("prior", (30.0, 30.0)), ("one", (3.0, 31.0))):
+        for trial, aside_m in enumerate(off_m):
+            builder.trial(trial, PRIOR, PRIOR if label == "prior" else posed(60), estimator=label)
+            pose = {"tx_m": aside_m, "ty_m": 0.0, "tz_m": 1e4, "true_tx_m": 0.0, "true_ty_m": 0.0, "true_tz_m": 1e4}
+            builder.tables["rows"][-1] |= pose
+    run = builder.write(estimators=["prior", "one"])
+    assert only(compare_runs([run]), "one").success.value == 0.0
+    found = only(compare_runs([run], "sight_error_m"), "one")
+    assert (found.success.value, found.prior) == (0.5, pytest.approx(30.0, rel=1e-4))
+
+
 def store_orbits(folder, ends):
     """Store sequences of two revolutions by their position errors at 0, 360 and 720 degrees; shorter ones failed."""
     builder = RunBuilder(folder)
