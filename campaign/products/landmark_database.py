@@ -22,6 +22,7 @@ from boresight.estimators.descriptors.database import (
     ViewFeatures,
     view_features,
 )
+from boresight.estimators.descriptors.triangulation import triangulated_views
 from boresight.estimators.landmark.database import (
     METHOD_VERSION,
     CandidateOptions,
@@ -122,15 +123,19 @@ def build_descriptors(
     scenario: LoadedScenario, options: DescriptorOptions, folder: Path, jobs: int, variant: str
 ) -> Mapping[str, object]:
     """Build the data base of features of images, de-projected onto the believed body, and store it in ``folder``."""
-    if options.source == "survey":
+    kept = 0
+    if options.points == "triangulated":
+        seen_at = [(one.pixels, one.view) for one in survey_images(scenario, variant)]
+        views = triangulated_views(seen_at, options)
+    elif options.source == "survey":
         images = survey_images(scenario, variant)
-        found = [(view_features(one.pixels, one.view, one.deproject, options), False) for one in images]
+        views = tuple(view_features(one.pixels, one.view, one.deproject, options) for one in images)
     else:
         found = map_images(jobs, options.images, _features_of_images, scenario, options, variant)
-    views = tuple(features for features, _ in found)
+        views, kept = tuple(features for features, _ in found), sum(stored for _, stored in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": DESCRIPTORS_VERSION}
     DescriptorDatabase(options.kind, views, provenance).save(folder)
-    return {"images": len(views), "images_from_store": sum(kept for _, kept in found)}
+    return {"images": len(views), "images_from_store": kept}
 
 
 def _features_of_images(

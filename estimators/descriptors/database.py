@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, Self, cast
 
 import cv2
 import numpy as np
@@ -100,6 +100,10 @@ class DescriptorViewOptions(SpecModel):
     source: Literal["rendered", "survey"] = optional(
         "Images of the data base: rendered, or the real ones of the scenario's images.survey", "rendered"
     )
+    points: Literal["shape", "triangulated"] = optional(
+        "Where features of a survey are: on the onboard shape, or where the lines of sight of its images meet",
+        "shape",
+    )
     images: int = Field(200, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
     seed: int = Field(0, ge=0, description="Seed of their views")
@@ -110,6 +114,8 @@ class DescriptorViewOptions(SpecModel):
         senseless = self.stated("images", "phase_deg_max", "seed")
         if self.source == "survey" and senseless:
             raise ValueError(f"{', '.join(senseless)} has no meaning for images of a survey; leave it out")
+        if self.source != "survey" and self.points != "shape":
+            raise ValueError("points: triangulated: features of rendered images are on the shape: set source: survey")
 
 
 class DescriptorOptions(DescriptorViewOptions):
@@ -127,11 +133,7 @@ def view_features(
     (M, 3) in the body frame, m; NaN where a pixel is on the sky.
     """
     features = find_features(image, options.kind, options.features)
-    points_m = np.asarray(deproject(features.uv_px), dtype=np.float64).reshape(-1, 3)
-    on_body = np.isfinite(points_m).all(axis=1)
-    position = view.T_cam_body.camera_position_m
-    direction = position / np.linalg.norm(position)
-    return ViewFeatures(direction, view.sun_dir_body, points_m[on_body], features.descriptors[on_body])
+    return ViewFeatures.where_known(view, deproject(features.uv_px), features.descriptors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +147,14 @@ class ViewFeatures:
     sun_dir_body: FloatArray
     points_m: FloatArray
     descriptors: NDArray[np.uint8]
+
+    @classmethod
+    def where_known(cls, view: View, points_m: FloatArray, descriptors: NDArray[np.uint8]) -> Self:
+        """Keep the features of a view that have a point, not NaN."""
+        points_m = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
+        known = np.isfinite(points_m).all(axis=1)
+        position = view.T_cam_body.camera_position_m
+        return cls(position / np.linalg.norm(position), view.sun_dir_body, points_m[known], descriptors[known])
 
 
 @dataclass(frozen=True, eq=False)
