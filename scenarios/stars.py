@@ -137,7 +137,7 @@ def read_stars(path: Path) -> StarCatalog:
     """
     rows: list[tuple[float, ...]] = []
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.reader(stream, strict=True)
             header = [name.strip() for name in next(table, [])]
             absent = [name for name in COLUMNS if header.count(name) != 1]

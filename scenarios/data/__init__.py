@@ -32,6 +32,11 @@ def find_data_file(
     for candidate in candidates:
         if is_wanted(candidate):
             return candidate
+    for candidate in candidates:
+        if candidate.exists():
+            found = "a folder" if candidate.is_dir() else "a file" if candidate.is_file() else "a device or a pipe"
+            wanted = "folder" if is_wanted is Path.is_dir else "file"
+            raise BoresightError(f"{key}: {candidate} is {found}: give the path of a {wanted}")
     looked = ", ".join(str(candidate) for candidate in candidates)
     raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(Path(name), folder)}")
 

@@ -47,7 +47,7 @@ def read_table(file: str, folders: Sequence[Path]) -> Table:
     if path.suffix == ".mat":
         return read_matlab(path)
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
             return _text_table(stream, path.suffix.lower())
     except UnicodeDecodeError:
         raise ValueError("not a text table: it holds bytes that are not UTF-8") from None

@@ -547,6 +547,15 @@ def test_what_is_missing_names_the_data_set_that_has_it(monkeypatch, tmp_path):
         find_data_file("nothing.tab", (), "shapes", "body.shape")
 
 
+def test_a_folder_for_a_file_and_a_file_for_a_folder_are_named(tmp_path):
+    file = tmp_path / "a.obj"
+    file.write_text("v 0 0 0\n")
+    with pytest.raises(BoresightError, match=f"body.shape: {tmp_path} is a folder: give the path of a file"):
+        find_data_file(str(tmp_path), (), "shapes", "body.shape")
+    with pytest.raises(BoresightError, match=f"images.folder: {file} is a file: give the path of a folder"):
+        find_data_folder("a.obj", (tmp_path,), "images", "images.folder")
+
+
 def test_the_users_folder_is_searched_where_no_variable_is_set(monkeypatch, tmp_path):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))

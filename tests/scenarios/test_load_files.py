@@ -516,8 +516,9 @@ def test_values_of_a_table_are_those_of_the_scenario(tmp_path, ending):
     assert digest(load_scenario(str(tmp_path / "base.yaml")).spec) != digest(read), "the values are part of the digest"
 
 
-def test_a_column_of_a_table_is_a_law_of_a_number(tmp_path):
-    (tmp_path / "ranges.csv").write_text("# of an orbit\nrange_m\n1000\n3000\n2500\n")
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_column_of_a_table_is_a_law_of_a_number(tmp_path, encoding):
+    (tmp_path / "ranges.csv").write_text("# of an orbit\nrange_m\n1000\n3000\n2500\n", encoding=encoding)
     law = f"viewpoint.range_m={{choice: {{table: {tmp_path / 'ranges.csv'}, columns: range_m}}}}"
     assert load_scenario("quickstart", [law]).spec.viewpoint.range_m == Choice(choice=(1000.0, 3000.0, 2500.0))
 

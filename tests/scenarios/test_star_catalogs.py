@@ -79,8 +79,11 @@ def test_a_damaged_file_of_hipparcos_is_refused_with_its_line(tmp_path, damage, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_table_is_read_in_the_order_of_magnitudes(tmp_path):
-    (tmp_path / "s.csv").write_text("name,mag, ra_deg,dec_deg\nb,3,90,0\n\na,-1.5,0,0\nc,4,123,90\n")
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_table_is_read_in_the_order_of_magnitudes(tmp_path, encoding):
+    """Excel writes a byte order mark before a table in UTF-8."""
+    lines = "mag,name, ra_deg,dec_deg\n3,b,90,0\n\n-1.5,a,0,0\n4,c,123,90\n"
+    (tmp_path / "s.csv").write_text(lines, encoding=encoding)
     catalog = read_stars(tmp_path / "s.csv")
     np.testing.assert_array_equal(catalog.magnitudes, [-1.5, 3, 4])
     np.testing.assert_allclose(catalog.directions, np.eye(3), atol=1e-15)
