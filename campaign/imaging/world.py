@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -24,11 +25,13 @@ from boresight.scenarios.geometry.mesh import winding_number
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import Scale, body_sides_m
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.stars import open_stars
 from boresight.scenarios.spec.trajectory import StatesSpec
 from boresight.scenarios.spec.world import ViewpointSpec
 from boresight.scenarios.stars import StarCatalog
 
+_KEY_OF_BODY = re.compile(rf"(?<!\S)body(\.(?:{'|'.join(BodySpec.model_fields)})\b)")
 _MOST_DRAWS = 1000
 _CHECKED_STATES = 100
 _LEAST_PX = 3.0
@@ -203,11 +206,12 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
     Return the true and the onboard body: as long as a caller holds them, they are not read again.
     """
     spec = scenario.spec
+    body = _loaded(scenario, "body", spec.body)
+    believed = "body" if spec.onboard.body is None else "onboard.body"
+    onboard = _loaded(scenario, believed, onboard_spec(spec).body)
+    if spec.second_body is not None:
+        _loaded(scenario, "second_body.body", spec.second_body.body)
     try:
-        body = load_body(spec.body, scenario.search_dirs)
-        onboard = load_body(onboard_spec(spec).body, scenario.search_dirs)
-        for other in spec.bodies[1:]:
-            load_body(other, scenario.search_dirs)
         if spec.craters is not None:
             check_size(body.mesh, spec.craters)
     except BoresightError as error:
@@ -218,6 +222,17 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
         # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
         check_outside(scenario, body.mesh, spec.viewpoint.states, "viewpoint")
     return body, onboard
+
+
+def _loaded(scenario: LoadedScenario, section: str, body: BodySpec) -> Body:
+    """Load the body of a section; errors name its keys in the scenario, and the location of the first."""
+    try:
+        return load_body(body, scenario.search_dirs)
+    except BoresightError as error:
+        told = _KEY_OF_BODY.sub(lambda key: section + key[1], str(error))
+        found = _KEY_OF_BODY.search(str(error))
+        place = str(scenario.path) if found is None else scenario.place_of(section + found[1])
+        raise BoresightError(f"{place}: {told}") from error
 
 
 def scale_of(scenario: LoadedScenario) -> Scale:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 import math
@@ -350,8 +351,12 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
 def _shape_path(spec: BodySpec, search_dirs: Sequence[Path]) -> Path | None:
     """Path of the shape file, or None for an embedded body."""
     if spec.shape not in EMBEDDED:
-        known = ", ".join(EMBEDDED)
-        return find_data_file(spec.shape, search_dirs, "shapes", f"body.shape (a file, or one of {known})")
+        try:
+            return find_data_file(spec.shape, search_dirs, "shapes", "body.shape")
+        except BoresightError as error:
+            near = difflib.get_close_matches(spec.shape, EMBEDDED, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"or give one of {', '.join(EMBEDDED)}"
+            raise BoresightError(f"{error}; {hint}") from None
     for key in ("unit", "format", "longitude"):
         if getattr(spec, key) != BodySpec.model_fields[key].default:
             raise BoresightError(

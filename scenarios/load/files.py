@@ -125,6 +125,16 @@ class LoadedScenario:
     keys: ConfigEntry | None = field(default=None, compare=False, repr=False)
     file_keys: ConfigEntry | None = field(default=None, compare=False, repr=False)
 
+    def place_of(self, key: str) -> str:
+        """Return the location of a dotted key, ``file:line``; of the section that leaves it out, or the file alone."""
+        entry = self.keys
+        for part in key.split("."):
+            section = None if entry is None else entry.section
+            if section is None or part not in section:
+                break
+            entry = section[part]
+        return str(self.path) if entry is None else entry.place
+
 
 @dataclass(frozen=True, slots=True)
 class LoadedCampaign:

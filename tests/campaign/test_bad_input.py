@@ -38,7 +38,15 @@ def shaped(shape: str) -> str:
 # name: (campaign, scene, what the line must say)
 FILES = {
     "missing shape": (
-        CAMPAIGN, shaped("none.obj"), ["scene.yaml: body.shape", "none.obj was not found", "BORESIGHT_DATA"],
+        CAMPAIGN, shaped("none.obj"), ["scene.yaml:3: body.shape: none.obj was not found", "BORESIGHT_DATA"],
+    ),
+    "missing shape of a second body": (
+        CAMPAIGN, SCENE + "second_body:\n  semi_major_axis_m: 900\n  body:\n    shape: dimorphoss-like\n",
+        ["scene.yaml:14: second_body.body.shape: dimorphoss-like was not found", "did you mean dimorphos-like?"],
+    ),
+    "second body in the wrong unit": (
+        CAMPAIGN, SCENE + "second_body:\n  semi_major_axis_m: 900\n  body: {shape: km.obj}\n",
+        ["scene.yaml:13: ", "km.obj: with second_body.body.unit m", "set second_body.body.unit: km"],
     ),
     "broken shape": (CAMPAIGN, shaped("broken.obj"), ["broken.obj:2: 'f 1 2' is not a vertex", "OBJ file"]),
     "open shape": (CAMPAIGN, shaped("open.obj"), ["open.obj: the mesh is not closed", "mend the holes"]),

@@ -167,7 +167,7 @@ def test_a_shape_is_searched_in_the_scenario_folder_then_in_the_data_folder(tmp_
     spec = BodySpec(shape="ball.obj")
     assert load_body(spec, [tmp_path / "elsewhere", tmp_path]).source == str(shape)
     with pytest.raises(
-        BoresightError, match=r"body\.shape .*ball\.obj was not found; looked for .*elsewhere.*set BORESIG"
+        BoresightError, match=r"body\.shape: ball\.obj was not found; looked for .*elsewhere.*set BORESIG"
     ):
         load_body(spec, [tmp_path / "elsewhere"])
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path / "data"))

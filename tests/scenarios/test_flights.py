@@ -134,7 +134,7 @@ def test_a_descent_ends_at_its_height_above_the_facet_below_its_end(tmp_path, mo
 def test_a_descent_needs_a_surface(tmp_path):
     descent = "descent: {direction: [1, 0, 0], from_altitude_m: 770, to_altitude_m: 50, rate_m_s: 1, step_s: 240}"
     for body, said in (
-        ("body: {shape: none.obj}", "descent cannot be used: body.shape .*: none.obj was not found"),
+        ("body: {shape: none.obj}", "descent cannot be used: body.shape: none.obj was not found"),
         ("body: {unit: inch}", "the surface below it is not known, as body or craters are wrong"),
         ("body: {shape: sphere, detail: null}\ncraters: {}", "craters.known_diameter_m: missing"),
     ):
