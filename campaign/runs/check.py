@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.imaging.preview import images_of, preview
@@ -21,7 +22,7 @@ from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
 from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.load import ConfigEntry, LoadedScenario
 from boresight.scenarios.load.lengths import dotted
 from boresight.scenarios.spec.body import STAND_INS
 from boresight.scenarios.spec.campaign import CampaignSpec
@@ -70,11 +71,13 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> list[tuple[Body, 
 
 
 def _check_requirements(campaign: ResolvedCampaign) -> None:
-    """Refuse a requirement that cannot be read, or on an estimator or a scenario that there is not."""
+    """Refuse a requirement that cannot be read, is asked twice, or of an estimator or a scenario that there is not."""
     known = {"estimators": campaign.labels, "scenarios": tuple(scenario.spec.name for scenario in campaign.scenarios)}
-    entry = campaign.entry("requirements")
-    where = "requirements" if entry is None else entry.place
-    for asked in campaign.spec.requirements:
+    entry = campaign.entry("requirements") or ConfigEntry(None, "requirements")
+    items = entry.value if isinstance(entry.value, tuple) else (entry,) * len(campaign.spec.requirements)
+    before = set[object]()
+    for asked, item in zip(campaign.spec.requirements, items, strict=True):
+        where = item.place
         try:
             requirement = read_requirement(asked.that, campaign.spec.experiment)
             for scenario in campaign.scenarios:
@@ -82,9 +85,16 @@ def _check_requirements(campaign: ResolvedCampaign) -> None:
                     _check_revolutions(requirement, scenario)
         except BoresightError as error:
             raise BoresightError(f"{where}: {error}") from error
+        same = replace(requirement, written=""), frozenset(asked.estimators), frozenset(asked.scenarios)
+        if same in before:
+            raise BoresightError(f"{where}: requirements: {asked.that!r} is there twice: leave one out")
+        before.add(same)
         if not asked.estimators and set(campaign.labels) <= set(CONTROLS):
             raise BoresightError(f"{where}: {asked.that!r} is asked of no estimator: name some, or add one")
         for key, there in known.items():
+            if not getattr(asked, key) and item.section is not None and key in item.section:
+                place = item.section[key].place
+                raise BoresightError(f"{place}: requirements: {key}: [] names none: leave the key out to ask all")
             unknown = [name for name in getattr(asked, key) if name not in there]
             if unknown:
                 raise BoresightError(f"{where}: {key}: there is no {unknown[0]}: choose among {', '.join(there)}")

@@ -59,6 +59,9 @@ def test_the_report_begins_with_them(tiny_run, tmp_path, capsys):
         ("error_after_1_m < 30 in 95 % at 90 %", "error_after_1_m is no measure of single-image: choose one of"),
         ("{that: solved in 95 % at 90 %, estimators: [lmaps]}", "estimators: there is no lmaps: choose among prior, "),
         ("{that: solved in 95 % at 90 %, scenarios: [other]}", "scenarios: there is no other: choose among scene"),
+        ("{that: solved in 95 % at 90 %, estimators: []}", "tiny.yaml:10: requirements: estimators: [] names none"),
+        ("{that: solved in 95 % at 90 %,\n    scenarios: []}", "tiny.yaml:11: requirements: scenarios: [] names none"),
+        (f"{MET}\n  - {{that: {MET.replace(' ', '  ')}}}", "tiny.yaml:11: requirements: 'position_error_m"),
         ("{limit: 3}", "requirements[0]: write a requirement as its text, or as {that: text,"),
         ("{that: solved in 95 % at 90 %, estimators: lmaps}", "requirements[0]: write a requirement as its text"),
         ("[solved]", "requirements[0]: write a requirement as its text"),
@@ -70,6 +73,11 @@ def test_what_cannot_be_judged_is_refused_with_its_place(cache, tmp_path, refuse
     assert why in said
     assert "tiny.yaml" in said
     assert not (tmp_path / "run").exists()
+
+
+def test_one_requirement_may_be_asked_of_two_methods_in_turn(tiny_run, tmp_path):
+    asked = [f"{{that: {MET}, estimators: [{name}]}}" for name in ("landmark-harris", "prior")]
+    assert run(*requiring(tiny_run, tmp_path, *asked)) == 0
 
 
 def test_a_run_stops_when_all_are_decided(tiny_run, tmp_path, monkeypatch):
