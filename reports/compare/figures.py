@@ -30,13 +30,8 @@ ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"
 RADIAL, TRANSVERSE = "radial_error_m", "transverse_error_m"
 _LABELS: Mapping[str, str] = {
-    "range_m": "range, m",
-    "phase_deg": "phase angle, deg",
-    "latitude_deg": "latitude of the camera, deg",
     "n_landmarks": "landmarks used",
     "prior": "error of the prior",
-    "anomaly_deg": "anomaly, deg",
-    "time_s": "time, s",
     "distance_m": "distance to the body, m",
     LATERAL: "across boresight, m",
     BORESIGHT: "along boresight, m",
@@ -132,7 +127,7 @@ def conditions_figure(found: RunComparison, group: str, subjects: Mapping[str, S
         return
     labels = {**_LABELS, "value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
     panels = {
-        (labels[error], labels[condition]): dict(binned_errors(tables, error, condition))
+        (labels[error], labels.get(condition, measure_of(condition).axis)): dict(binned_errors(tables, error, condition))
         for error in errors
         for condition in conditions
     }

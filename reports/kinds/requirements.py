@@ -82,6 +82,11 @@ def required_values(run: RunData) -> Iterator[tuple[Requirement, str, str, pd.Se
                 yield requirement, scenario, estimator, values.loc[run.of(scenario, estimator).index]
 
 
+def is_moved(requirement: Requirement) -> bool:
+    """Return whether a tornado shows what moves it: a limit, on another measure than the time of the estimator."""
+    return requirement.limit is not None and requirement.measure != SECONDS
+
+
 def independent_units(run: RunData, rows: pd.DataFrame) -> NDArray[np.generic]:
     """Label rows (n,) by the unit that is judged as one: the trial, or the image or the set that trials share."""
     # Of trials whose chances differ by data base a binomial test of their mean is on the safe side (W. Hoeffding 1956).
@@ -127,7 +132,7 @@ def requirement_grid(run: RunData) -> Grid | None:
     ]
     note = _NOTE + (_LOOKED if _could_end_elsewhere(run) else "")
     least = LEAST_TRIALS if run.manifest.grid is not None else 3 * LEAST_TRIALS
-    if any(one.verdict.n < least for one in found if one.requirement.limit is not None):
+    if any(one.verdict.n < least for one in found if is_moved(one.requirement)):
         note += f" What moves a requirement is shown from {least} trials of a scenario on."
     return row_grid("Requirements", rows, ("requirement", "scenario", "estimator", "verdict"), note) if rows else None
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.style import BLUE, ORANGE, finish, grid_figure, styled
-from boresight.reports.kinds.requirements import LEAST_TRIALS, independent_units, required_values
+from boresight.reports.kinds.requirements import LEAST_TRIALS, independent_units, is_moved, required_values
 from boresight.reports.run.data import GridAxis, RunData, in_order_of
 from boresight.reports.schema.column import COMPONENTS, PRIOR_ERROR, names
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
@@ -132,7 +132,7 @@ def swings(run: RunData, values: pd.Series[float], quantile: float) -> list[Swin
         ends = [rows[drawn <= ordered[third - 1]], rows[drawn >= ordered[-third]]]
         least, most = ((ordered[0], ordered[third - 1]), (ordered[-third], ordered[-1]))
         low, high = (_bounded(run, end, values, quantile) for end in ends)
-        found.append(Swing(name, _range(least), _range(most), low, high))
+        found.append(Swing(measure_of(name).axis, _range(least), _range(most), low, high))
     return sorted(found, key=lambda swing: -swing.width)
 
 
@@ -172,13 +172,14 @@ def _bounded(run: RunData, rows: pd.DataFrame, values: pd.Series[float], quantil
 def tornados(run: RunData) -> Iterator[Tornado]:
     """Yield what moves each measure with a limit, for each share that is required of it and each scenario.
 
+    Requirements on ``seconds`` are left out.
     Scenarios of a grid that vary the same one are taken together.
     """
     base = {} if run.manifest.grid is None else {one.name: one.base for one in run.manifest.grid.scenarios}
     asked: dict[tuple[str, float, str], dict[str, Requirement]] = {}
     parts: dict[tuple[str, float, str], dict[str, dict[str, pd.Series[float]]]] = {}
     for requirement, scenario, estimator, values in required_values(run):
-        if requirement.limit is not None:
+        if is_moved(requirement):
             key = requirement.measure, requirement.share, base.get(scenario, scenario)
             asked.setdefault(key, {})[requirement.written] = requirement
             parts.setdefault(key, {}).setdefault(estimator, {})[scenario] = values.dropna()
@@ -197,7 +198,7 @@ def swing_grid(run: RunData) -> Grid | None:
     """Tabulate what moves the requirements of a run; None if it has none, or too few trials."""
     rows = [
         {
-            "measure": one.measure,
+            "measure": measure_of(one.measure).axis,
             "scenario": one.scenario,
             "estimator": estimator,
             "quantile": f"{100.0 * one.quantile:g} %",
@@ -234,7 +235,7 @@ def tornado_figures(run: RunData) -> Iterator[NamedFigure]:
     of_grid = run.manifest.grid is not None
     parts, by = ("level", "quantile of each axis") if of_grid else ("third of the trials", "value of each condition")
     for place, one in enumerate(tornados(run)):
-        title = f"What moves the {100.0 * one.quantile:g} % quantile of {one.measure}, {one.scenario}"
+        title = f"What moves the {100.0 * one.quantile:g} % quantile of {measure_of(one.measure).label}, {one.scenario}"
         yield NamedFigure(
             file_stem(TORNADO, str(place + 1), one.measure, one.scenario),
             _draw_tornado(one, title, parts.split()[0]),
@@ -270,5 +271,5 @@ def _draw_tornado(tornado: Tornado, title: str, part: str) -> Figure:
         told = [f"{one.condition}: {one.least}, {one.most}" if part == "level" else one.condition for one in moved]
         ax.set_yticks(range(len(moved)), told[::-1])
         ax.set(title=estimator, xlim=(0.0, 1.02 * most))
-    axes[-1, 0].set_xlabel(measure_of(tornado.measure).axis or tornado.measure)
+    axes[-1, 0].set_xlabel(measure_of(tornado.measure).axis)
     return finish(figure, title, legend=axes[0, 0])

@@ -130,8 +130,8 @@ def test_a_condition_that_is_the_same_in_print_moves_nothing(builder):
     run = read_run(fly(builder, 1e5))
     own = run.rows[run.rows["estimator"] == ESTIMATOR]
     found = [one.condition for one in swings(run, own["range_m"], 0.5)]
-    assert "range_m" in found
-    assert "latitude_deg" not in found
+    assert "range, m" in found
+    assert "latitude of the camera, deg" not in found
 
 
 def test_the_footer_counts_the_trials_of_the_rows(builder):

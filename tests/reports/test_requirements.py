@@ -212,11 +212,19 @@ def test_the_condition_that_moves_an_error_comes_first(full_run):
     errors = own["prior_attitude_error_deg"] * 10.0
     first, *others = swings(run, errors, 0.75)
     third = np.sort(errors)[: len(own) // 3]
-    assert first.condition == "prior_attitude_error_deg"
+    assert first.condition == "prior attitude error, deg"
     assert first.low[0] == pytest.approx(np.quantile(third, 0.75, method="inverted_cdf"))
     assert first.low[1][0] <= first.low[0] <= first.low[1][1] < first.high[1][0]
     assert all(one.low[1][1] > one.high[1][0] for one in others), "the others do not matter"
     assert len(swing_grid(run).rows) == len(others) + 1
+    assert {"prior error along the boresight, m", "prior error across the boresight, m"} <= {one.condition for one in others}
+    assert swing_grid(run).rows[0][0] == "position error, m"
+
+
+def test_a_limit_on_the_time_has_no_tornado(full_run):
+    run = read_run(full_run(requirements=[{"that": "seconds < 60 in 75 % at 90 %"}]))
+    assert swing_grid(run) is None
+    assert "What moves" not in requirement_grid(run).note
 
 
 def varied(builder, cells, trials, error_m, **manifest):
@@ -267,15 +275,15 @@ def test_the_tornado_is_the_first_figure_after_the_table_of_requirements(builder
 def test_a_condition_of_a_few_values_is_compared_between_them(builder):
     run = varied(builder, ["s"], 40, lambda _, trial: 1.0 + trial % 2, **REQUIRED)
     first, *others = next(tornados(run)).found[ESTIMATOR]
-    assert (first.condition, first.least, first.most) == ("range_m", "1000", "2000")
+    assert (first.condition, first.least, first.most) == ("range, m", "1000", "2000")
     assert (first.low[0], first.high[0]) == (1.0, 2.0)
-    assert [one.condition for one in others] == ["time_s"]
+    assert [one.condition for one in others] == ["time, s"]
 
 
 def test_trials_without_an_estimate_bound_an_interval_as_unsolved(builder):
     run = varied(builder, ["s"], 60, lambda _, trial: None if trial > 55 else 2.0 + 0.01 * trial, **REQUIRED)
     row = next(dict(zip(swing_grid(run).columns, row, strict=True)) for row in swing_grid(run).rows)
-    assert (row["condition"], row["quantile"]) == ("time_s", "75 %")
+    assert (row["condition"], row["quantile"]) == ("time, s", "75 %")
     assert row["then"].endswith(", unsolved]")
     assert len(row["then"]) < 40
 
