@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import Field, JsonValue
 
 from boresight.estimators.approach.body import sphere_px
-from boresight.estimators.contract import Assets, Estimate, Estimator
+from boresight.estimators.contract import Assets, Estimate, Estimator, Predictor
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel, rule
 
@@ -128,3 +129,18 @@ class ApproachEstimator:
                 return replace(found, diagnostics=told, timings_s=dict(seconds))
             reasons.append(f"{phase.method}: {found.reason}")
         return Estimate("failed", "; ".join(reasons), diagnostics={"predicted_px": size_px}, timings_s=dict(seconds))
+
+    def predict(self, planned: Observation) -> FloatArray | None:
+        """Predict the covariance (6, 6) of the method that is tried first; None if it has no predictor."""
+        chosen = self._first(planned)
+        return chosen.predict(planned) if isinstance(chosen, Predictor) else None
+
+    def predict_estimate(self, planned: Observation) -> Estimate | None:
+        """Predict covariance and common error of the method that is tried first; None if it has no such predictor."""
+        predict = getattr(self._first(planned), "predict_estimate", None)
+        return None if predict is None else predict(planned)
+
+    def _first(self, planned: Observation) -> Estimator | None:
+        size_px = sphere_px(self._radius_m, planned.frame.prior_T_cam_body, planned.camera)
+        large = (phase.estimator for phase in self._phases if size_px >= phase.least_px)
+        return next((estimator for estimator in large if estimator is not None), None)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boresight.estimators.options import OptionsError
-from boresight.estimators.registry import Base, bases_of, estimator_class, with_bases
+from boresight.estimators.registry import Base, bases_of, can_predict, estimator_class, with_bases
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.bodies.embedded import EMBEDDED
 from boresight.scenarios.errors import BoresightError
@@ -97,6 +97,38 @@ def test_a_failure_of_the_far_one_alone_is_named():
         answer("approach", black).reason
         == "centroid: nothing is brighter than the background: the image is black, or the body fills it"
     )
+
+
+@pytest.mark.parametrize(("size_px", "phase"), [(31.9, "far"), (32.1, "middle"), (49.9, "middle"), (50.1, "near")])
+def test_the_prediction_is_that_of_the_method_that_is_tried_first(size_px, phase):
+    """Without a near estimator the middle one is tried in its place; `centroid` has no predictor."""
+    planned = seen(size_px)
+    options = {one: {"bias_px": 0.1 * number} for number, one in enumerate(("far", "middle", "near"), 1)}
+    of_limb = {f"{one}_options": own for one, own in options.items()}
+    approach = estimator_class("approach").from_options(
+        {"far": "limb", "middle": "limb", "near": "limb", "near_px": 50.0, **of_limb}, Assets()
+    )
+    alone = estimator_class("limb").from_options(options[phase], Assets()).predict_estimate(planned)
+    np.testing.assert_array_equal(approach.predict(planned), alone.covariance)
+    np.testing.assert_array_equal(approach.predict_estimate(planned).common, alone.common)
+    usual = estimator_class("approach").from_options({"near_px": 50.0}, Assets())
+    limb = None if phase == "far" else estimator_class("limb").from_options({}, Assets()).predict(planned)
+    np.testing.assert_equal(usual.predict(planned), limb)
+    assert (usual.predict_estimate(planned) is None) is (phase == "far")
+
+
+@pytest.mark.parametrize(
+    ("options", "able", "of_orbits"),
+    [
+        ({}, True, True),
+        ({"middle": "silhouette"}, False, False),
+        ({"middle": "silhouette", "near": "landmark-ransac"}, True, False),
+        ({"middle": "tuned", "middle_options": {"base": "limb"}}, False, False),
+    ],
+)
+def test_it_predicts_if_one_of_its_methods_does(options, able, of_orbits):
+    assert can_predict("approach", options) is able
+    assert can_predict("approach", options, "predict_estimate") is of_orbits
 
 
 def test_what_it_builds_on_is_known():

@@ -38,7 +38,7 @@ from boresight.campaign.trial.runner import TrialRunner, Unbuilt, check_options,
 from boresight.campaign.trial.score import consistency, pose_columns, pose_error, predicted_errors
 from boresight.estimators.contract import Estimate, Estimator, Predictor, Stage, Table
 from boresight.estimators.options import model_of
-from boresight.estimators.registry import estimator_class
+from boresight.estimators.registry import can_predict, estimator_class
 from boresight.scenarios.draw import estimator_generator
 from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.load import LoadedScenario
@@ -234,8 +234,7 @@ class SingleImage(ImageMethods[ImageDraw, Estimate]):
 
     @classmethod
     def predicts(cls, entry: EstimatorSpec) -> bool:
-        """Tell whether an estimator and all estimators that it builds on have a predictor."""
-        return all(hasattr(estimator_class(name), "predict") for name in cls.method_names(entry))
+        return can_predict(entry.name, entry.options)
 
     def predictors(self, trial: int) -> Mapping[str, Prediction]:
         """Plan the observation of a trial, without an image."""
