@@ -127,9 +127,9 @@ def conditions_figure(found: RunComparison, group: str, subjects: Mapping[str, S
         return
     labels = {**_LABELS, "value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
     panels = {
-        (labels[error], labels.get(condition, measure_of(condition).axis)): dict(binned_errors(tables, error, condition))
+        (labels[error], labels.get(one, measure_of(one).axis)): dict(binned_errors(tables, error, one))
         for error in errors
-        for condition in conditions
+        for one in conditions
     }
     over = "the solved trials"
     if frames:

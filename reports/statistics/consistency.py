@@ -72,10 +72,11 @@ class NormalisedErrors:
     """One kind of squared error of the trials of a run, normalised by its covariance.
 
     ``name`` is ``nees`` of a pose, ``sight_nees`` of the direction to the body's origin, ``nees_after_K`` of a position
-    after K revolutions, ``nees_at_epoch`` of position and velocity of an orbit, or ``innovation``. ``expected`` is the mean where covariances are true, in the unit of
-    ``ratio``. Columns of the table: ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of
-    innovations per measurement), ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected) and,
-    of poses, ``worse`` (whether the position is worse than the prior's).
+    after K revolutions, ``nees_at_epoch`` of position and velocity of an orbit, or ``innovation``. ``expected`` is the
+    mean where covariances are true, in the unit of ``ratio``. Columns of the table: ``scenario``, ``estimator``,
+    ``trial``, ``ratio`` (the normalised square, of innovations per measurement), ``degrees`` (of freedom of the whole
+    square, which is ratio * degrees / expected) and, of poses, ``worse`` (whether the position is worse than the
+    prior's).
     """
 
     name: str

@@ -217,7 +217,9 @@ def test_the_condition_that_moves_an_error_comes_first(full_run):
     assert first.low[1][0] <= first.low[0] <= first.low[1][1] < first.high[1][0]
     assert all(one.low[1][1] > one.high[1][0] for one in others), "the others do not matter"
     assert len(swing_grid(run).rows) == len(others) + 1
-    assert {"prior error along the boresight, m", "prior error across the boresight, m"} <= {one.condition for one in others}
+    assert {"prior error along the boresight, m", "prior error across the boresight, m"} <= {
+        one.condition for one in others
+    }
     assert swing_grid(run).rows[0][0] == "position error, m"
 
 
