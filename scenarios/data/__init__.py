@@ -13,6 +13,7 @@ from boresight.scenarios.errors import BoresightError
 __all__ = ["DATA_VARIABLE", "data_folder", "find_data_file", "find_data_folder", "is_there"]
 
 DATA_VARIABLE = "BORESIGHT_DATA"
+_MOST_SHOWN = 60  # letters of a name that is no path
 
 
 def data_folder() -> Path:
@@ -29,14 +30,16 @@ def find_data_file(
     Raise BoresightError, which names the scenario's ``key`` and lists where it was looked for.
     """
     candidates = _candidates(name, search_dirs, folder)
-    for candidate in candidates:
-        if is_wanted(candidate):
-            return candidate
-    for candidate in candidates:
-        if candidate.exists():
-            found = "a folder" if candidate.is_dir() else "a file" if candidate.is_file() else "a device or a pipe"
-            wanted = "folder" if is_wanted is Path.is_dir else "file"
-            raise BoresightError(f"{key}: {candidate} is {found}: give the path of a {wanted}")
+    try:
+        if (found := next(filter(is_wanted, candidates), None)) is not None:
+            return found
+        other = next(filter(Path.exists, candidates), None)
+    except OSError as error:  # a name that is too long, or a folder that may not be read
+        raise BoresightError(f"{key}: {name[:_MOST_SHOWN]}: {error.strerror}: check the path") from error
+    if other is not None:
+        kind = "a folder" if other.is_dir() else "a file" if other.is_file() else "a device or a pipe"
+        wanted = "folder" if is_wanted is Path.is_dir else "file"
+        raise BoresightError(f"{key}: {other} is {kind}: give the path of a {wanted}")
     looked = ", ".join(str(candidate) for candidate in candidates)
     raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(Path(name), folder)}")
 
@@ -48,7 +51,10 @@ def find_data_folder(name: str, search_dirs: Sequence[Path], folder: str, key: s
 
 def is_there(name: str, search_dirs: Sequence[Path], folder: str) -> bool:
     """Return whether a file or folder is where `find_data_file` or `find_data_folder` looks for it."""
-    return any(place.exists() for place in _candidates(name, search_dirs, folder))
+    try:
+        return any(place.exists() for place in _candidates(name, search_dirs, folder))
+    except OSError:  # a name that is too long for a file
+        return False
 
 
 def _candidates(name: str, search_dirs: Sequence[Path], folder: str) -> list[Path]:

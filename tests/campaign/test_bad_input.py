@@ -40,6 +40,9 @@ FILES = {
     "missing shape": (
         CAMPAIGN, shaped("none.obj"), ["scene.yaml:3: body.shape: none.obj was not found", "BORESIGHT_DATA"],
     ),
+    "shape with a long name": (
+        CAMPAIGN, shaped("a" * 300), ["scene.yaml:3: body.shape: aaa", "aaa: File name too long: check the path"],
+    ),
     "missing shape of a second body": (
         CAMPAIGN, SCENE + "second_body:\n  semi_major_axis_m: 900\n  body:\n    shape: dimorphoss-like\n",
         ["scene.yaml:14: second_body.body.shape: dimorphoss-like was not found", "did you mean dimorphos-like?"],

@@ -554,6 +554,8 @@ def test_a_folder_for_a_file_and_a_file_for_a_folder_are_named(tmp_path):
         find_data_file(str(tmp_path), (), "shapes", "body.shape")
     with pytest.raises(BoresightError, match=f"images.folder: {file} is a file: give the path of a folder"):
         find_data_folder("a.obj", (tmp_path,), "images", "images.folder")
+    with pytest.raises(BoresightError, match=r"body\.shape: a{60}: File name too long: check the path"):
+        find_data_file("a" * 9999, (tmp_path,), "shapes", "body.shape")
 
 
 def test_the_users_folder_is_searched_where_no_variable_is_set(monkeypatch, tmp_path):

@@ -107,7 +107,7 @@ KEYS = (
     b"extends: x.yaml\n", b"extends: /dev/zero\n", b"extends: ../../../../etc/passwd\n", b"extends: [x, x]\n",
     b"extends: .\n", b"name: ../x\n", b"description: null\n", b"images: {folder: /etc}\n", b"kind: hapke", b"kind: x",
     b"uniform", b"normal", b"camera", b"body", b"viewpoint", b"orbit", b"sequence", b"onboard", b"sensors", b"craters",
-    b"detail", b"values", b"levels", b"design: two-level", b"extends: quickstart\n", b"body: null\n",
+    b"second_body", b"detail", b"values", b"levels", b"design: two-level", b"extends: quickstart\n", b"body: null\n",
     b"requirements: [solved in 1e-300 % at 90 %]\n", b"position_error_m < 1e400 in 95 % at 90 %",
     b"error_after_99_m < 3 in 95 % at 90 %", b"extends: apophis-sphere-sequence\n",
     b"distortion: {k1: 1e300}", b"set: {a.b.c: 1}\n", b'extends: "a\\0b"\n',
