@@ -44,6 +44,12 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
         raise error from fault
 
 
+def surveyed(options: Mapping[str, object]) -> bool:
+    """Say whether an estimator, or one that it builds on, has a data base made from the images of a survey."""
+    sections = [value for value in options.values() if isinstance(value, Mapping)]
+    return options.get("source") == "survey" or any(map(surveyed, sections))
+
+
 class Configured(Generic[Model]):
     """Base of methods with options alone, by default those of the model; a subclass names itself and that model."""
 

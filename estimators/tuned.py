@@ -210,8 +210,10 @@ class TunedEstimator:
     that of the shape on board, which the base knows with the errors that the mission declares (``onboard.declared``).
     A factor, which follows the phase angle, divides the information that the base states, so that its NEES over these
     trials is that of a true covariance, where a few wrong answers count as little as answers at the 99 % ellipsoid; of
-    several reflectances that are declared, the greatest factor counts. The calibration's part
-    (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
+    several reflectances that are declared, the greatest factor counts. A base with landmarks of a survey
+    (``source: survey``) is tried on the real images of the survey instead, each placed by the landmarks of the others
+    and compared with its reference pose: these have all errors of shape, light and reference that there are. The
+    calibration's part (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
 
     Use it when
     -----------

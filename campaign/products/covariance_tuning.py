@@ -1,4 +1,4 @@
-"""Rehearsals of an estimator: images of the shape on board with declared errors, and the factor of its covariance."""
+"""Rehearsals of an estimator, by simulated images or those of a survey, and the factor of its covariance."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from typing import TypeGuard
 import numpy as np
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.imaging.world import open_world
+from boresight.campaign.imaging.real_images import open_survey
+from boresight.campaign.imaging.world import ImageSetSource, TrialImage, open_world
 from boresight.campaign.products.assets import KINDS, BuiltAssets, product_kind
 from boresight.campaign.products.databases import ProductKind, map_images
 from boresight.estimators.contract import Estimator, NoProductError
 from boresight.estimators.landmark.pose.posterior import pose_offset
+from boresight.estimators.options import surveyed
 from boresight.estimators.registry import estimator_class
 from boresight.estimators.tuned import PRODUCT as TUNING
 from boresight.estimators.tuned import (
@@ -46,7 +48,15 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
     if scenario.spec.viewpoint is None and scenario.spec.images is None:
         raise NoProductError("its rehearsals need views: give the scenario a viewpoint or images")
-    _check_declared(scenario.spec, options.bodies)
+    laws, survey = len(_laws(scenario.spec)), _survey(scenario.spec, options)
+    if survey:
+        if len(survey) == 1:
+            raise NoProductError(
+                f"images.survey: each image is placed by the others, and {survey[0]} is alone: name two"
+            )
+        laws, options = 1, options.model_copy(update={"bodies": len(survey)})
+    else:
+        _check_declared(scenario.spec, options.bodies)
     with tempfile.TemporaryDirectory() as place:
         # The data bases of the base are made before workers ask for them.
         for number in range(options.bodies):
@@ -55,7 +65,6 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
         most = math.ceil(options.trials / jobs)
         found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place), most_images=most)
     # The surface has one law in all images: the covariance must hold for each.
-    laws = len(_laws(scenario.spec))
     shares = [[t for t in range(options.trials) if _number(options, t) % laws == law] for law in range(laws)]
     solved = [[one for one in (found[t] for t in share) if one is not None] for share in shares]
     check_solved(laws * min(map(len, solved)), options.trials, options.base)
@@ -100,6 +109,11 @@ def _check_declared(spec: ScenarioSpec, bodies: int) -> None:
         raise NoProductError("onboard.declared: the shape on board has no detail: leave facets and relief_below_m out")
 
 
+def _survey(spec: ScenarioSpec, options: Rehearsals) -> tuple[str, ...]:
+    """Name the real images of which the base has landmarks: each is placed by those of the others, as a rehearsal."""
+    return spec.images.survey if spec.images is not None and surveyed(options.options) else ()
+
+
 def _method(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int | None, variant: str) -> Estimator:
     assets = BuiltAssets(scenario, folder, jobs, variant).for_estimator()
     return estimator_class(options.base).from_options(options.options, assets)
@@ -113,16 +127,20 @@ def _of_images(
     for number, own in groupby(trials, lambda trial: _number(options, trial)):
         played = rehearsed_scenario(scenario, options, number)
         method = _method(played, options, folder / str(number), None, variant)
-        found += [_rehearse(method, played, options, variant, trial) for trial in own]
+        shown = None
+        if _survey(scenario.spec, options):
+            shown = ImageSetSource(open_survey(scenario), 1).trial_image(0, number)
+        found += [_rehearse(method, played, options, variant, trial, shown) for trial in own]
     return found
 
 
 def _rehearse(
-    method: Estimator, played: LoadedScenario, options: Rehearsals, variant: str, trial: int
+    method: Estimator, played: LoadedScenario, options: Rehearsals, variant: str, trial: int, shown: TrialImage | None
 ) -> Rehearsed | None:
+    """Estimate the pose of a real image that is ``shown``, or of one that is rendered."""
     world, seed = open_world(played, variant), options.seed + _SEED
     try:
-        image = world.source.trial_image(seed, trial)
+        image = world.source.trial_image(seed, trial) if shown is None else shown
     except UndrawableError:
         return None
     observation = observe(world, image, seed, trial)
@@ -136,7 +154,9 @@ def _rehearse(
         return None
     error = pose_offset(image.view.T_cam_body, answer.pose)
     frame = observation.frame
-    return Rehearsed(error, answer.covariance, frame.prior_covariance, phase_rad(frame))
+    # The few images of a survey do not tell how errors follow the phase angle.
+    phase = phase_rad(frame) if shown is None else 0.0
+    return Rehearsed(error, answer.covariance, frame.prior_covariance, phase)
 
 
 def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
@@ -150,13 +170,17 @@ def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
 def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
     """Return the scenario of a rehearsal: a body like the one on board, and what is known of it, with declared errors.
 
-    As in flight, the method has the errors and the images have not. Relief is drawn anew with the statistics of that on
+    Where the base has landmarks of a survey, it is the scenario without the survey's image of that ``number``. Else,
+    as in flight, the method has the errors and the images have not. Relief is drawn anew with the statistics of that on
     board, which has false relief of its own: images of it would tell the method more than images of the true body do.
     A shape without ``detail`` is taken as it is, with the relief that is declared to lack. Views of real images are
     rendered. Bodies have the declared reflectances in turn. The camera has
     artefacts of the kind and size of the flight camera's, and another pattern of pixels.
     """
     errors, spec, seed = _declared(scenario.spec), scenario.spec, _SEED + options.seed + number
+    if spec.images is not None and (survey := _survey(spec, options)):
+        others = spec.images.model_copy(update={"survey": survey[:number] + survey[number + 1 :]})
+        return replace(scenario, spec=spec.model_copy(update={"images": others}))
     body, heights = spec.body, errors.height_error
     known: dict[str, object] = {}
     if heights is not None:

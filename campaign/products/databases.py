@@ -23,6 +23,7 @@ from boresight.campaign.imaging.world import open_world
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
+from boresight.estimators.options import surveyed
 from boresight.renderers.mitsuba3 import renderer_version
 from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import FloatArray
@@ -74,7 +75,7 @@ def content_key(
         "versions": [*versions, renderer_version(spec)[1]],
         "variant": variant,
     }
-    if getattr(options, "source", "") == "survey" and spec.images is not None:
+    if surveyed(options.model_dump()) and spec.images is not None:
         parts["survey"] = [canonical_json(spec.images), images_digest(scenario)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

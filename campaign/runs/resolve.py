@@ -10,6 +10,7 @@ from typing import Any
 from boresight.campaign.resolved import ResolvedCampaign, Versions
 from boresight.campaign.runs.read import read_campaign
 from boresight.campaign.trial.kind import Trials, kind_named
+from boresight.estimators.options import surveyed
 from boresight.estimators.registry import FILE_OPTIONS, file_of, needed_sensors, with_bases
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedCampaign, LoadedScenario
@@ -122,16 +123,10 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
                 " leave the estimator out"
             )
         images = scenario.spec.images
-        if _surveyed(entry.options) and (images is None or not images.survey):
+        if surveyed(entry.options) and (images is None or not images.survey):
             raise BoresightError(
                 f"{scenario.path}: images.survey: names no images, but {entry.label} has source: survey"
             )
-
-
-def _surveyed(options: Mapping[str, object]) -> bool:
-    """Say whether an estimator, or one that it builds on, has a data base made from the images of a survey."""
-    sections = [value for value in options.values() if isinstance(value, Mapping)]
-    return options.get("source") == "survey" or any(map(_surveyed, sections))
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
