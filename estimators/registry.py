@@ -274,11 +274,11 @@ def with_bases(name: str, options: Mapping[str, object]) -> tuple[str, ...]:
     return name, *(found for base in bases_of(name, options) for found in with_bases(base.name, base.options))
 
 
-def can_predict(name: str, options: Mapping[str, object], method: str = "predict") -> bool:
-    """Whether an estimator has a method to predict, and so has at least one of those that it builds on, if any."""
+def can_predict(name: str, options: Mapping[str, object]) -> bool:
+    """Whether an estimator has a predictor, and so has at least one of those that it builds on, if any."""
     bases = bases_of(name, options)
-    able = not bases or any(can_predict(base.name, base.options, method) for base in bases)
-    return able and hasattr(estimator_class(name), method)
+    able = not bases or any(can_predict(base.name, base.options) for base in bases)
+    return able and hasattr(estimator_class(name), "predict")
 
 
 def built_base(name: str, options: Mapping[str, object], assets: Assets, section: str = "options") -> Estimator:

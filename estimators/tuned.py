@@ -212,8 +212,9 @@ class TunedEstimator:
     trials is that of a true covariance, where a few wrong answers count as little as answers at the 99 % ellipsoid; of
     several reflectances that are declared, the greatest factor counts. A base with landmarks of a survey
     (``source: survey``) is tried on the real images of the survey instead, each placed by the landmarks of the others
-    and compared with its reference pose: these have all errors of shape, light and reference that there are. The
-    calibration's part (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
+    and compared with its reference pose: so the factor holds errors of shape, light and reference that differ from
+    image to image. It is one for all phase angles then, and what is declared has no part in it. The calibration's part
+    (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
 
     Use it when
     -----------
@@ -223,13 +224,14 @@ class TunedEstimator:
     -------------
     The base solves fewer than 20 rehearsed images. The factor holds for errors as large as was declared, on average
     over the views of a phase angle: not for each view. It is too small where the shape on board is a file with errors
-    as large as its relief, for these are relief of the rehearsed body too. Wrong answers are not covered: the build
+    as large as its relief, for these are relief of the rehearsed body too. That of a survey rests on as many errors as
+    it has images, and an error that all of them share is not in it. Wrong answers are not covered: the build
     says how many there were in rehearsals; ``consensus`` refuses them where another method contradicts.
 
     Cost
     ----
-    That of its base. Before the campaign it makes the data bases of the base ``tuning.bodies`` times and estimates
-    ``tuning.trials`` images.
+    That of its base. Before the campaign it makes the data bases of the base ``tuning.bodies`` times, of a survey once
+    for each of its images, and estimates ``tuning.trials`` images.
 
     Source
     ------

@@ -54,7 +54,7 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
             raise NoProductError(
                 f"images.survey: each image is placed by the others, and {survey[0]} is alone: name two"
             )
-        laws, options = 1, options.model_copy(update={"bodies": len(survey)})
+        laws, options = 1, options.model_copy(update={"bodies": min(len(survey), options.trials)})
     else:
         _check_declared(scenario.spec, options.bodies)
     with tempfile.TemporaryDirectory() as place:

@@ -132,15 +132,7 @@ class ApproachEstimator:
 
     def predict(self, planned: Observation) -> FloatArray | None:
         """Predict the covariance (6, 6) of the method that is tried first; None if it has no predictor."""
-        chosen = self._first(planned)
-        return chosen.predict(planned) if isinstance(chosen, Predictor) else None
-
-    def predict_estimate(self, planned: Observation) -> Estimate | None:
-        """Predict covariance and common error of the method that is tried first; None if it has no such predictor."""
-        predict = getattr(self._first(planned), "predict_estimate", None)
-        return None if predict is None else predict(planned)
-
-    def _first(self, planned: Observation) -> Estimator | None:
         size_px = sphere_px(self._radius_m, planned.frame.prior_T_cam_body, planned.camera)
         large = (phase.estimator for phase in self._phases if size_px >= phase.least_px)
-        return next((estimator for estimator in large if estimator is not None), None)
+        first = next((estimator for estimator in large if estimator is not None), None)
+        return first.predict(planned) if isinstance(first, Predictor) else None

@@ -207,7 +207,7 @@ class LimbEstimator:
             if self._options.shift > 0.0:
                 noise, sigma_px = scatter_covariance(residual_px, points.by_position, directions, points.ray, weight)
             else:
-                # Heights are exact, so that nothing makes the errors of neighbouring points alike.
+                # Without errors of heights, those of neighbouring points are taken as independent.
                 each, sigma_px = np.arange(len(weight)), 0.0
                 noise = grouped_covariance(residual_px[:, None] * weighted, each, 3)
             by_bias, common = bias_covariance(self._bias_px(sigma_px), weighted, arc)

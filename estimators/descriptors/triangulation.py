@@ -14,6 +14,8 @@ from boresight.estimators.slam.vision.matching import ImageFeatures
 from boresight.scenarios.geometry import View
 from boresight.scenarios.geometry.camera import LinesOfSight, triangulation_equations
 
+_LEAST_PARALLAX_DEG = 2.0  # a third of a pixel in two images moves a point by 13 pixels of the ground along the sight
+
 
 def triangulated_views(
     images: Sequence[tuple[NDArray[np.float32], View]], options: DescriptorOptions
@@ -21,8 +23,8 @@ def triangulated_views(
     """Find the features that two images or more show, with their points on the body.
 
     Matches of pairs of images are joined to tracks, see `track_features`. The point of a track is the nearest to its
-    lines of sight, and is kept where every image of the track shows it within ``epipolar_max_px``. A feature of one
-    image alone is left out.
+    lines of sight, and is kept where every image of the track shows it within ``epipolar_max_px``, from directions that
+    are 2 deg or more apart. A feature of one image alone is left out.
 
     Parameters
     ----------
@@ -34,8 +36,10 @@ def triangulated_views(
     Raises
     ------
     NoProductError
-        If there is no such feature.
+        If there is one image alone, or no such feature.
     """
+    if len(images) < 2:
+        raise NoProductError(f"points: triangulated needs two images of the survey, here is {len(images)}: name more")
     views, tracking = [view for _, view in images], TrackingOptions()
     camera, poses = views[0].camera, [view.T_cam_body for view in views]
     found = [find_features(image, options.kind, options.features) for image, _ in images]
@@ -51,6 +55,8 @@ def triangulated_views(
     lines = LinesOfSight(np.array([pose.camera_position_m for pose in poses])[frame], directions)
     matrix, right = triangulation_equations(lines, track, (nothing[:, None] * np.eye(3), nothing))
     points_m = np.linalg.solve(matrix, right[..., None])[..., 0]
+    # Of two lines that are an angle apart, the least eigenvalue is 1 - its cosine.
+    points_m[np.linalg.eigvalsh(matrix)[:, 0] < 1.0 - np.cos(np.radians(_LEAST_PARALLAX_DEG))] = np.nan
     for image, pose in enumerate(poses):
         own = frame == image
         apart_px = np.linalg.norm(camera.project(pose.transform(points_m[track[own]])) - tracks.uv_px[own], axis=1)

@@ -34,7 +34,7 @@ from boresight.estimators.contract import Estimator
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.fixes import ApproachNavigator, ApproachTask, predict_orbit
-from boresight.estimators.registry import can_predict, estimator_class, fuses_prior, with_bases
+from boresight.estimators.registry import estimator_class, fuses_prior, with_bases
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.dynamics.propagation import OrbitLostError
@@ -139,7 +139,7 @@ class ApproachOrbitTrials(ImageMethods[ApproachDraw, ApproachAnswer]):
 
     @classmethod
     def predicts(cls, entry: EstimatorSpec) -> bool:
-        return can_predict(entry.name, entry.options, "predict_estimate")
+        return hasattr(estimator_class(entry.name), "predict_estimate")
 
     def predictors(self, trial: int) -> Mapping[str, Prediction]:
         """Fly the true orbit of a trial without images; none if it leads into the body."""
