@@ -84,6 +84,18 @@ def prior_values(run: RunData, metric: Measure) -> pd.Series | None:
     return _size(run.rows, "prior_", metric.name)
 
 
+def failures(run: RunData, metric: Measure) -> pd.Series:
+    """Return which rows of a run have no value of the metric, or one above that of the prior.
+
+    Where that of the prior is not known, the position error decides. A method of the line of sight keeps the attitude,
+    which moves the position.
+    """
+    value, prior = metric_values(run, metric), prior_values(run, metric)
+    posed = run.rows[f"prior_{POSE_COLUMNS[0]}"].notna()
+    worse = ~succeeded(run.rows) if prior is None else value > _ROUNDED * prior
+    return value.isna() | (posed & worse)
+
+
 def nothing_to_find(run: RunData, metric: Measure) -> pd.Series:
     """Return which rows of a run cannot have the metric: no crater could be found, or none was found by all methods."""
     counts = crater_counts(run)
@@ -205,9 +217,7 @@ def tabulate_trials(runs: Sequence[RunData], metric: Measure, factors: Sequence[
 def _of_run(run: RunData, name: str, metric: Measure, factors: Sequence[str]) -> pd.DataFrame:
     rows, numbers, prior = run.rows, trial_numbers(run), prior_values(run, metric)
     value = numbers.get(metric.name, pd.Series(np.nan, index=rows.index))
-    posed, seed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy(), str(run.manifest.seed)
-    # Of the metric that is compared, where the prior's is known: a method of the line of sight leaves the attitude.
-    worse = ~succeeded(rows) if prior is None else (value > _ROUNDED * prior).to_numpy()
+    seed = str(run.manifest.seed)
 
     def by_scenario(text: Callable[[Mapping[str, Any]], str]) -> pd.Series:
         return rows["scenario"].map({name: text(spec) for name, spec in run.manifest.scenarios.items()})
@@ -219,7 +229,7 @@ def _of_run(run: RunData, name: str, metric: Measure, factors: Sequence[str]) ->
         rest=by_scenario(lambda spec: remainder(spec, factors)) + ("" if ESTIMATOR in factors else rows["estimator"]),
         value=value,
         prior=np.nan if prior is None else prior,
-        failed=(posed & worse) | value.isna(),
+        failed=failures(run, metric),
         cluster=np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         **{one: rows[one].astype(float) if one in rows else np.nan for one in CONDITIONS},
         **{one: numbers.get(one, np.nan) for one in (LATERAL, BORESIGHT, POSE_COLUMNS[1])},

@@ -15,14 +15,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.reports.compare.trials import choose_metric, trial_numbers
+from boresight.reports.compare.trials import choose_metric, failures, trial_numbers
 from boresight.reports.figures.comparison import Traded, draw_trade_off
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.kinds.pooled import MOST_CELLS, is_huge
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
-from boresight.reports.run.outcomes import succeeded
-from boresight.reports.schema.column import FRESH_IMAGE, POSE_COLUMNS, STORED_IMAGE
+from boresight.reports.run.outcomes import keeping_attitude, succeeded
+from boresight.reports.schema.column import FRESH_IMAGE, POSE_COLUMNS, SIGHT, STORED_IMAGE
 from boresight.reports.schema.craters import CENTRE_ERROR, MISSED
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
 from boresight.reports.schema.records import CONTROL
@@ -54,9 +54,10 @@ class Cost:
     """A cell: an estimator in a scenario, what it attains, and what it takes.
 
     ``errors`` are medians over the trials with an error, ``n_ok`` of ``n`` trials have an estimate, ``failed`` is the
-    share without one or with a position error above the prior's. ``seconds`` is the median wall time of all its own
-    stages of a trial. ``landmarks`` are those of its data base, None without one; ``size_bytes`` is all that it holds
-    on board: data bases as stored, the mean over several, and the shape; None where the run does not say it.
+    share without one, or with an error of the position, or of the line of sight, above the prior's. ``seconds`` is the
+    median wall time of all its own stages of a trial. ``landmarks`` are those of its data base, None without one;
+    ``size_bytes`` is all that it holds on board: data bases as stored, the mean over several, and the shape; None where
+    the run does not say it.
     ``over_grid`` is None outside a grid.
     """
 
@@ -74,10 +75,16 @@ class Cost:
 
 
 def traded_errors(run: RunData) -> tuple[str, ...]:
-    """Name the errors that are compared: both of poses, the rates and centres of craters, else the usual one."""
+    """Name the errors that are compared: both of poses, the rates and centres of craters, else the usual one.
+
+    Where all methods keep the prior's attitude, it is that of the line of sight.
+    """
     metrics = kind_schema(run.manifest.experiment).metrics
     if run.posed_pairs():
-        names = POSE_COLUMNS[:2]
+        own = run.rows[run.rows["estimator"] != CONTROL]
+        solved = set(own.loc[own["status"] == "ok", "estimator"])
+        keep = SIGHT in metrics and solved and solved <= keeping_attitude(own)
+        names = (SIGHT,) if keep else POSE_COLUMNS[:2]
     elif MISSED in metrics:
         names = tuple(name for name in metrics if name != CENTRE_ERROR)
     else:
@@ -144,7 +151,7 @@ def _numbers(run: RunData, names: Sequence[str]) -> pd.DataFrame:
     return rows[[*TRIAL_KEY, "status"]].assign(
         **{name: numbers.get(name, nothing) for name in names},
         seconds=seconds,
-        failed=~succeeded(rows),
+        failed=failures(run, measure_of(SIGHT)) if SIGHT in names else ~succeeded(rows),
         unit=clusters_of(run, rows[TRIAL_KEY]),
     )
 

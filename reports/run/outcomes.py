@@ -23,6 +23,7 @@ _FRAME = r"^frame \d+: "
 _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 _TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
+_SAME_DEG = 1e-9
 _MOST_LINES = 5
 _MOST_UNSOLVED = 20
 _MOST_CHARACTERS = 110
@@ -108,6 +109,13 @@ def revolution_ends(epochs: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
     last_deg = float(epochs["anomaly_deg"].fillna(0.0).max()) if len(epochs) else 0.0
     for k in range(1, int((last_deg + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
         yield k, epochs[(epochs["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
+
+
+def keeping_attitude(rows: pd.DataFrame) -> set[str]:
+    """Name the estimators whose solved trials all have the attitude error of the prior: they do not estimate it."""
+    solved = rows[rows["status"] == "ok"]
+    same = (solved["attitude_error_deg"] - solved["prior_attitude_error_deg"]).abs() < _SAME_DEG
+    return set(solved["estimator"]) - set(solved.loc[~same, "estimator"])
 
 
 def succeeded(rows: pd.DataFrame) -> NDArray[np.bool_]:

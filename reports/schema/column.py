@@ -209,7 +209,7 @@ def plain(name: str, label: str = "", *, error: bool = False) -> Measure:
 SHARED_MEASURES = (
     Measure(name=LATERAL, label="position error across the boresight", error=True),
     Measure(name=BORESIGHT, label="position error along the boresight", error=True),
-    Measure(name=SIGHT, label="distance of the line of sight from the body's origin", error=True),
+    Measure(name=SIGHT, label="error of the line of sight", error=True),
     Measure(name=f"prior_{LATERAL}", label="prior error across the boresight"),
     Measure(name=f"prior_{BORESIGHT}", label="prior error along the boresight"),
     Measure(name="phase_deg", label="phase angle"),

@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData
-from boresight.reports.run.outcomes import revolution_ends
+from boresight.reports.run.outcomes import keeping_attitude, revolution_ends
 from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
@@ -64,7 +64,6 @@ POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES, SIGHT_DEGREES = 6, 6, 3, 2
 _NIS_DEGREES = "innovation_degrees"
 _TAILS = (0.025, 0.975)
 _SURE = 5.0
-_SAME_DEG = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,9 +112,8 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
         worse = solved["position_error_m"] > solved["prior_position_error_m"]
         yield from _some(NEES, POSE_DEGREES, solved.assign(worse=worse), NEES, POSE_DEGREES)
         # Where an estimator keeps the prior's attitude, most of the NEES of its pose is the prior's.
-        kept = solved["attitude_error_deg"].sub(solved["prior_attitude_error_deg"]).abs() < _SAME_DEG
-        moved = set(solved.loc[~kept, "estimator"])
-        yield from _some(SIGHT, SIGHT_DEGREES, solved[~solved["estimator"].isin(moved)], SIGHT, SIGHT_DEGREES)
+        kept = solved[solved["estimator"].isin(keeping_attitude(solved))]
+        yield from _some(SIGHT, SIGHT_DEGREES, kept, SIGHT, SIGHT_DEGREES)
     elif source == "epochs":
         for k, ends in revolution_ends(table):
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, ends, NEES, POSITION_DEGREES)

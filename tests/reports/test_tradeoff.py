@@ -57,6 +57,23 @@ def test_costs_by_hand(builder):
     assert (maplets.failed.value, maplets.size_bytes) == (0.0, 160_000)
 
 
+def test_methods_that_keep_the_attitude_trade_the_line_of_sight(builder):
+    """A position 60 m off, by the prior's attitude, is no failure where the line of sight is better than the prior."""
+    for estimator, off_m in (("prior", 30.0), ("centroid", 3.0), ("limb", 31.0)):
+        for trial in range(4):
+            builder.trial(trial, PRIOR, PRIOR if estimator == "prior" else ((60.0, 0, 0), 1.0), estimator=estimator)
+            pose = {"tx_m": off_m, "ty_m": 0.0, "tz_m": 1e4, "true_tx_m": 0.0, "true_ty_m": 0.0, "true_tz_m": 1e4}
+            builder.tables["rows"][-1] |= pose
+            builder.add("timings", trial=trial, scenario=ITOKAWA, estimator=estimator, stage=estimator, seconds=0.01)
+    run = builder.write(estimators=["prior", "centroid", "limb"], products=[], report=None)
+    found = {one.estimator: one for one in costs(read_run(run))}
+    assert [(name, *one.errors) for name, one in found.items()] == [
+        (one, "sight_error_m") for one in ("centroid", "limb")
+    ]
+    assert found["centroid"].errors["sight_error_m"].value == pytest.approx(3.0, rel=1e-4)
+    assert [found[name].failed.value for name in ("centroid", "limb")] == [0.0, 1.0]
+
+
 def test_the_table_holds_accuracy_and_cost(builder):
     grid = trade_grid(read_run(fill(builder)))
     lines = [dict(zip(grid.columns, row, strict=True)) for row in grid.rows]
