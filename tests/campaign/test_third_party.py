@@ -175,7 +175,7 @@ def test_wrong_answers_are_errors_with_a_reason_and_the_others_go_on(installed, 
     numbers = rows.select_dtypes("number")
     assert not np.isinf(numbers).any(axis=None)
     doubtful = [column for column in numbers if column.endswith(("_sigma_m", "_sigma_deg", "_bound_m", "_bound_deg"))]
-    given = numbers.drop(columns=["nees", "database", *doubtful])
+    given = numbers.drop(columns=["nees", "sight_nees", "database", *doubtful])
     # An estimator may have no covariance and no data base.
     assert given[rows["status"] == "ok"].notna().all(axis=None)
     assert not {"stages", "landmarks"} & {path.name for path in out.iterdir()}, "of a refused estimate"
