@@ -84,15 +84,14 @@ def prior_values(run: RunData, metric: Measure) -> pd.Series | None:
     return _size(run.rows, "prior_", metric.name)
 
 
-def failures(run: RunData, metric: Measure) -> pd.Series:
-    """Return which rows of a run have no value of the metric, or one above that of the prior.
+def failures(rows: pd.DataFrame, value: pd.Series, prior: pd.Series | None) -> pd.Series:
+    """Return which rows have no value of a metric, or one above that of the prior, see `prior_values`.
 
     Where that of the prior is not known, the position error decides. A method of the line of sight keeps the attitude,
     which moves the position.
     """
-    value, prior = metric_values(run, metric), prior_values(run, metric)
-    posed = run.rows[f"prior_{POSE_COLUMNS[0]}"].notna()
-    worse = ~succeeded(run.rows) if prior is None else value > _ROUNDED * prior
+    posed = rows[f"prior_{POSE_COLUMNS[0]}"].notna()
+    worse = ~succeeded(rows) if prior is None else value > _ROUNDED * prior
     return value.isna() | (posed & worse)
 
 
@@ -229,7 +228,7 @@ def _of_run(run: RunData, name: str, metric: Measure, factors: Sequence[str]) ->
         rest=by_scenario(lambda spec: remainder(spec, factors)) + ("" if ESTIMATOR in factors else rows["estimator"]),
         value=value,
         prior=np.nan if prior is None else prior,
-        failed=failures(run, metric),
+        failed=failures(rows, value, prior),
         cluster=np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         **{one: rows[one].astype(float) if one in rows else np.nan for one in CONDITIONS},
         **{one: numbers.get(one, np.nan) for one in (LATERAL, BORESIGHT, POSE_COLUMNS[1])},

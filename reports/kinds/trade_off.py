@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.reports.compare.trials import choose_metric, failures, trial_numbers
+from boresight.reports.compare.trials import choose_metric, failures, prior_values, trial_numbers
 from boresight.reports.figures.comparison import Traded, draw_trade_off
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.kinds.pooled import MOST_CELLS, is_huge
@@ -56,7 +56,7 @@ class Cost:
     ``errors`` are medians over the trials with an error, ``n_ok`` of ``n`` trials have an estimate, ``failed`` is the
     share without one, or with an error of the position, or of the line of sight, above the prior's. ``seconds`` is the
     median wall time of all its own stages of a trial. ``landmarks`` are those of its data base, None without one;
-    ``size_bytes`` is all that it holds on board: data bases as stored, the mean over several, and the shape; None where
+    ``size_bytes`` is the memory on board: the stored data base, of several their mean, and the shape. It is None where
     the run does not say it.
     ``over_grid`` is None outside a grid.
     """
@@ -147,11 +147,13 @@ def _numbers(run: RunData, names: Sequence[str]) -> pd.DataFrame:
     total = own.groupby(["scenario", "estimator", "trial"], sort=False)[[_SECONDS]].sum().reset_index()
     # Times are of the trials with an estimate: one that stops early would look fast.
     seconds = in_order_of(rows, total, [_SECONDS])[_SECONDS].where(rows["status"] == "ok")
-    nothing = pd.Series(np.nan, index=rows.index)
+    nothing, failed = pd.Series(np.nan, index=rows.index), ~succeeded(rows)
+    if SIGHT in names:
+        failed = failures(rows, numbers.get(SIGHT, nothing), prior_values(run, measure_of(SIGHT))).to_numpy()
     return rows[[*TRIAL_KEY, "status"]].assign(
         **{name: numbers.get(name, nothing) for name in names},
         seconds=seconds,
-        failed=failures(run, measure_of(SIGHT)) if SIGHT in names else ~succeeded(rows),
+        failed=failed,
         unit=clusters_of(run, rows[TRIAL_KEY]),
     )
 
