@@ -275,7 +275,7 @@ def with_bases(name: str, options: Mapping[str, object]) -> tuple[str, ...]:
 
 
 def can_predict(name: str, options: Mapping[str, object]) -> bool:
-    """Whether an estimator has a predictor, and so has at least one of those that it builds on, if any."""
+    """Return whether an estimator can predict its covariance; one that builds on others needs one that can."""
     bases = bases_of(name, options)
     able = not bases or any(can_predict(base.name, base.options) for base in bases)
     return able and hasattr(estimator_class(name), "predict")

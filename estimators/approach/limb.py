@@ -124,8 +124,7 @@ class LimbEstimator:
     coordinates of the position are fused with the prior; the attitude stays that of the prior. The covariance holds the
     errors of the points, whose correlation along the limb is estimated in each image, a bias, and what the errors of
     the prior's attitude and of the calibration do to the position. Of a shape that is known exactly (``shift: 0``) the
-    errors of points are independent. Half of the bias's variance is stated as common to
-    all images.
+    errors of points are taken as independent. Half of the bias's variance is stated as common to all images.
 
     Use it when
     -----------

@@ -58,7 +58,7 @@ _NOTE = (
 )
 
 NEES, NIS = "nees", "innovation"
-AT_EPOCH, SIGHT = f"{NEES}_at_epoch", "sight_nees"
+AT_EPOCH, SIGHT_NEES = f"{NEES}_at_epoch", "sight_nees"
 _AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
 POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES, SIGHT_DEGREES = 6, 6, 3, 2
 _NIS_DEGREES = "innovation_degrees"
@@ -113,7 +113,7 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
         yield from _some(NEES, POSE_DEGREES, solved.assign(worse=worse), NEES, POSE_DEGREES)
         # Where an estimator keeps the prior's attitude, most of the NEES of its pose is the prior's.
         kept = solved[solved["estimator"].isin(keeping_attitude(solved))]
-        yield from _some(SIGHT, SIGHT_DEGREES, kept, SIGHT, SIGHT_DEGREES)
+        yield from _some(SIGHT_NEES, SIGHT_DEGREES, kept, SIGHT_NEES, SIGHT_DEGREES)
     elif source == "epochs":
         for k, ends in revolution_ends(table):
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, ends, NEES, POSITION_DEGREES)
@@ -133,7 +133,7 @@ def nees_of_all(run: RunData) -> dict[str, pd.DataFrame]:
     """
     found: dict[str, pd.DataFrame] = {}
     for kind in normalised_errors(run):
-        if kind.name not in (NIS, SIGHT):
+        if kind.name not in (NIS, SIGHT_NEES):
             table = kind.table.assign(ratio=kind.table["ratio"] / kind.expected)
             found |= {str(name): own for name, own in table.groupby("estimator", sort=False)}
     return {name: found[name] for name in run.manifest.estimators if name in found}
@@ -156,7 +156,7 @@ def normalised_label(name: str) -> str:
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
     known = {
         NEES: "NEES of the pose",
-        SIGHT: "NEES across the line of sight",
+        SIGHT_NEES: "NEES across the line of sight",
         AT_EPOCH: "NEES of the orbit at its epoch",
         NIS: "NIS of a measurement",
     }

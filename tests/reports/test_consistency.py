@@ -16,7 +16,7 @@ from boresight.reports.statistics.consistency import (
     INSIDE,
     NEES,
     RATIO,
-    SIGHT,
+    SIGHT_NEES,
     WRONG,
     NormalisedErrors,
     consistency_grid,
@@ -93,7 +93,7 @@ def test_methods_that_keep_the_attitude_are_held_to_the_line_of_sight(builder, a
     builder.write(scenarios={"rock": {}}, report=None)
     kinds = {kind.name: kind for kind in normalised_errors(read_run(builder.folder))}
     assert kinds[NEES].expected == 6
-    assert (kinds[SIGHT].expected if SIGHT in kinds else None) == expected
+    assert (kinds[SIGHT_NEES].expected if SIGHT_NEES in kinds else None) == expected
 
 
 def test_a_covariance_that_is_too_small_shows(builder):
