@@ -62,8 +62,14 @@ class Assets(Protocol):
         """The camera of the scenario."""
         ...
 
-    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Return a renderer of ``mesh`` with the onboard BRDF and self-shadowing."""
+    def mesh_renderer(
+        self, mesh: TriangleMesh, samples_per_pixel: int = 1, *, other_law: bool = False
+    ) -> ImageRenderer:
+        """Return a renderer of ``mesh`` with the onboard BRDF and self-shadowing.
+
+        With ``other_law`` it has a law that darkens the limb differently: Lommel and Seeliger's where the onboard one
+        is Lambert's or Oren and Nayar's, else Lambert's.
+        """
         ...
 
     def shape(self) -> TriangleMesh:

@@ -33,6 +33,7 @@ from boresight.scenarios.errors import BoresightError, MachineError, text_of
 from boresight.scenarios.geometry import Camera, TriangleMesh
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec, OrenNayarSpec
 from boresight.scenarios.spec.stars import open_stars
 from boresight.scenarios.stars import StarCatalog
 
@@ -124,9 +125,11 @@ class EstimatorAssets(Handle):
         """Return the catalogue of stars."""
         return _built(self).stars()
 
-    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Return a renderer of ``mesh`` with the onboard BRDF."""
-        return _built(self).mesh_renderer(mesh, samples_per_pixel)
+    def mesh_renderer(
+        self, mesh: TriangleMesh, samples_per_pixel: int = 1, *, other_law: bool = False
+    ) -> ImageRenderer:
+        """Return a renderer of ``mesh`` with the onboard BRDF, or another law."""
+        return _built(self).mesh_renderer(mesh, samples_per_pixel, other_law=other_law)
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product."""
@@ -205,11 +208,17 @@ class BuiltAssets:
             raise NoProductError(f"{spec.name}: stars: missing, so the images show none: add the section")
         return open_stars(spec.stars, self._scenario.search_dirs)
 
-    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Return a renderer of ``mesh`` with the believed BRDF."""
+    def mesh_renderer(
+        self, mesh: TriangleMesh, samples_per_pixel: int = 1, *, other_law: bool = False
+    ) -> ImageRenderer:
+        """Return a renderer of ``mesh`` with the believed BRDF, or with the law at the other end."""
+        brdf = self._scenario.spec.brdf
+        if other_law:
+            diffuse = isinstance(brdf, LambertSpec | OrenNayarSpec)
+            brdf = LommelSeeligerSpec(kind="lommel-seeliger") if diffuse else LambertSpec()
         return MitsubaRenderer(
             mesh,
-            self._scenario.spec.brdf,
+            brdf,
             samples_per_pixel=samples_per_pixel,
             shading="flat",
             variant=choose_variant(self._variant),

@@ -56,11 +56,14 @@ class Sighting:
     any_direction: bool = False
 
 
-def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop: AlignmentOptions) -> Estimate:
+def estimate_sight(
+    observation: Observation, view: BodyView, how: Sighting, loop: AlignmentOptions, other: BodyView | None = None
+) -> Estimate:
     """Shift the prior across the line of sight until rendering and image coincide, and fuse it with the prior.
 
     The range and the attitude are those of the prior. What their errors do to the shift is found by renderings that
-    differ by such errors, see `_by_pose` and `fuse`.
+    differ by such errors, see `_by_pose` and `fuse`. With ``other``, which renders the body by another law of
+    reflectance, the light is shared between both as in the image, see `_of_two_laws`.
 
     The covariance of the shift is that of a linear function of the pixels' errors. These are the difference of image
     and rendering, which errors of shape, reflectance and noise make; they are correlated within the 16 cells of the
@@ -82,11 +85,14 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
     while count < loop.max_iterations and np.linalg.norm(shift_px) >= loop.tolerance_px:
         with clock("mesh_rendering"):
             found = _bright_part(view.render(pose), body)
+            second = None if other is None else _bright_part(other.render(pose), body)
         if found is None:
             failure = "the rendered body is out of view or in the dark"
             return Estimate("failed", failure, diagnostics=told, timings_s=clock.seconds)
-        rendered = found
+        one_law = rendered = found
         with clock(how.name):
+            if second is not None:
+                rendered, told["other_law"] = _of_two_laws(one_law, second, body, camera.project(pose.translation_m))
             shift_px, point_px = how.shift(body.patch, rendered), centroid_px(rendered)
         if count == 0:
             names = (f"{how.name}_{part}_px" for part in ("du", "dv", "offset"))
@@ -103,7 +109,7 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
         told |= {f"{how.name}_iterations": count, "correlation": correlation}
     with clock("mesh_rendering"):
         if view.diameter_px(last) < RENDERED_PX:
-            covariance_px2 += _sampling(view, last, rendered, body, how)
+            covariance_px2 += _sampling(view, last, one_law, body, how)
         by_pose, left_px2 = _by_pose(view, last, body, how, frame.prior_covariance)
     # Each error of the pose is tried alone. The largest errors of the shift are across what that leaves.
     covariance_px2 += np.trace(left_px2) * np.eye(2) if how.any_direction else left_px2
@@ -117,13 +123,21 @@ def estimate_sight(observation: Observation, view: BodyView, how: Sighting, loop
 class SightEstimator:
     """Base of estimators that shift a rendering of a body: what is rendered, how the shift is measured, the options.
 
-    ``renderer`` draws what is within ``radius_m`` of the body's origin; ``mesh`` is the onboard shape.
+    ``renderer`` draws what is within ``radius_m`` of the body's origin, ``other`` the same by another law of
+    reflectance; ``mesh`` is the onboard shape.
     """
 
     def __init__(
-        self, renderer: ImageRenderer, mesh: TriangleMesh, radius_m: float, options: SightOptions, how: Sighting
+        self,
+        renderer: ImageRenderer,
+        mesh: TriangleMesh,
+        radius_m: float,
+        options: SightOptions,
+        how: Sighting,
+        other: ImageRenderer | None = None,
     ) -> None:
         self._body, self._options, self._how = (renderer, radius_m, mesh.area_vectors_m2), options, how
+        self._other = other
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose by shifting the prior; ``rng`` is not used.
@@ -131,12 +145,14 @@ class SightEstimator:
         Diagnostics are, with the stage's name in place of NAME, ``NAME_du_px``, ``NAME_dv_px`` and their length
         ``NAME_offset_px`` (observed minus rendered, both at the prior pose), ``NAME_iterations``, ``extent_px`` (longer
         side of the observed body's bounding box), ``diameter_px`` (of the disc with the observed body's area),
-        ``correlation`` of image and rendering, and ``shift_sigma_px``.
+        ``correlation`` of image and rendering, ``shift_sigma_px``, and, where the law of reflectance is fitted,
+        ``other_law``, its share.
         """
         del rng
         options, frame = self._options, observation.frame
         view = BodyView(*self._body, observation.camera, frame.sun_dir_cam, options.blur_px)
-        return estimate_sight(observation, view, self._how, options.alignment_loop)
+        other = None if self._other is None else replace(view, renderer=self._other)
+        return estimate_sight(observation, view, self._how, options.alignment_loop, other)
 
 
 def _calibration(observation: Observation, pose: Pose) -> FloatArray:
@@ -164,6 +180,21 @@ def _bright_part(rendered: Patch | None, body: LitBody, reduction: int = 1) -> P
     image = rendered.image * (body.patch.image.sum() / (rendered.image.sum() * reduction**2))
     image = near(image, image > body.floor)
     return replace(rendered, image=image) if image.any() else None
+
+
+def _of_two_laws(first: Patch, second: Patch, body: LitBody, origin_px: FloatArray) -> tuple[Patch, float]:
+    """Return the light of two renderings in the shares that fit the image best, and the share of the second, 0 to 1.
+
+    What a shift and another range do to the image is fitted with them. Lambert's law and that of Lommel and Seeliger
+    together are the lunar-Lambert law of McEwen (1991), Icarus 92, 298, whose share is not known beforehand here.
+    """
+    mean = 0.5 * (first.image + second.image)
+    u, v = (centre - origin for centre, origin in zip(first.centres(), origin_px, strict=True))
+    by_u, by_v = np.gradient(mean, axis=1), np.gradient(mean, axis=0)
+    terms = np.stack([first.image, second.image, u * by_u + v * by_v, by_u, by_v]).reshape(5, -1)
+    one, two = np.linalg.lstsq(terms.T, body.patch.cut(first).ravel(), rcond=None)[0][:2]
+    share = float(np.clip(two / (one + two), 0.0, 1.0)) if one + two > 0.0 else 0.0
+    return replace(first, image=(1.0 - share) * first.image + share * second.image), share
 
 
 def _shift_covariance(

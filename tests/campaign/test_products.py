@@ -23,13 +23,14 @@ from boresight.campaign.threads import use_threads
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.estimators.maplets.build import MapletOptions, build_maplets
-from boresight.renderers.mitsuba3 import choose_variant
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View, look_at
 from boresight.scenarios.load import LoadedScenario, load_scenario
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)
@@ -271,6 +272,23 @@ def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
         images.append(lends.mesh_renderer(lends.shape()).render(view))
     np.testing.assert_allclose(images[1], 2.0 * images[0], rtol=1e-5)
     assert images[0].any()
+
+
+@pytest.mark.parametrize(
+    ("believed", "other"),
+    [
+        ("{kind: oren-nayar}", LommelSeeligerSpec(kind="lommel-seeliger")),
+        ("{kind: hapke}", LambertSpec()),
+    ],
+)
+def test_the_other_law_darkens_the_limb_differently(tmp_path, believed, other):
+    (tmp_path / "scene.yaml").write_text(SCENE + f"onboard: {{brdf: {believed}}}\n")
+    lends = scenario_assets(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1).for_estimator()
+    view = View(lends.camera, look_at(np.array([2000.0, 0.0, 0.0]), 0.0), np.array([0.8, 0.6, 0.0]))
+    image = lends.mesh_renderer(lends.shape(), other_law=True).render(view)
+    by_law = MitsubaRenderer(lends.shape(), other, 1, variant=choose_variant()).render(view)
+    np.testing.assert_allclose(image, by_law, rtol=1e-5)
+    assert image.any()
 
 
 def test_a_detector_is_told_the_sun_in_camera_axes():

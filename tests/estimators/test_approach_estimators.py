@@ -19,7 +19,7 @@ from boresight.scenarios.bodies.embedded import EMBEDDED, icosphere
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, look_at
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
-from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec, McEwenSpec
 from boresight.scenarios.spec.camera import DetectorSpec
 
 CAMERA = Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0)
@@ -37,8 +37,9 @@ class Assets:
     def shape(self):
         return BODY
 
-    def mesh_renderer(self, mesh, samples_per_pixel=1):
-        return MitsubaRenderer(mesh, LambertSpec(), samples_per_pixel, variant=choose_variant())
+    def mesh_renderer(self, mesh, samples_per_pixel=1, *, other_law=False):
+        law = LommelSeeligerSpec(kind="lommel-seeliger") if other_law else LambertSpec()
+        return MitsubaRenderer(mesh, law, samples_per_pixel, variant=choose_variant())
 
 
 RENDERER = MitsubaRenderer(BODY, LambertSpec(), 16, variant=choose_variant())
@@ -184,6 +185,26 @@ def test_the_limb_gives_the_range():
         found = estimate("limb", seen)
         errors.append(found.pose.translation_m[2] / truth.translation_m[2] - 1.0)
     assert np.sqrt(np.mean(np.square(errors))) < 0.005  # half of the prior's
+
+
+@pytest.mark.parametrize("size_px", [12.0, 100.0])
+def test_the_centroid_fits_the_law_of_reflectance(monkeypatch, size_px):
+    """The surface has McEwen's law with a share of 0.63 of Lommel and Seeliger's; Lambert's is believed in."""
+    law = McEwenSpec(kind="mcewen", L1_per_deg=0.0, L2_per_deg2=0.0, L3_per_deg3=-0.37 / 30.0**3)
+    monkeypatch.setitem(globals(), "RENDERER", MitsubaRenderer(BODY, law, 16, variant=choose_variant()))
+    methods = [
+        estimator_class("centroid").from_options({"reflectance": how}, Assets()) for how in ("fitted", "onboard")
+    ]
+    errors_px, shares = [], []
+    for trial in range(12):
+        truth, seen = observed(trial, size_px=size_px, phase_deg=(30.0, 30.0))
+        found = [method.estimate(seen, rng=np.random.default_rng(0)) for method in methods]
+        apart_px = [CAMERA.project(one.pose.translation_m) - CAMERA.project(truth.translation_m) for one in found]
+        errors_px.append(np.linalg.norm(apart_px, axis=1))
+        shares.append(found[0].diagnostics["other_law"])
+    fitted_px, onboard_px = np.median(errors_px, axis=0)
+    assert 2.0 * fitted_px < onboard_px
+    assert 0.5 < np.median(shares) < 0.8
 
 
 @pytest.mark.parametrize("name", SIGHTS)

@@ -29,7 +29,7 @@ class Assets:
     def shape(self):
         return BODY
 
-    def mesh_renderer(self, mesh, samples_per_pixel=1):
+    def mesh_renderer(self, mesh, samples_per_pixel=1, *, other_law=False):
         return MitsubaRenderer(mesh, LambertSpec(), samples_per_pixel, variant=choose_variant())
 
 

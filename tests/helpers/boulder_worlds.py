@@ -13,7 +13,7 @@ from boresight.scenarios.draw import draw_lit_view
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec, RoughnessSpec
-from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec
 from boresight.scenarios.spec.distribution import Uniform
 from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
@@ -40,8 +40,12 @@ class BoulderWorld:
         self.asked.append((kind, options))
         return self.database
 
-    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> MitsubaRenderer:
-        return MitsubaRenderer(mesh, self.brdf, samples_per_pixel)
+    def mesh_renderer(
+        self, mesh: TriangleMesh, samples_per_pixel: int = 1, *, other_law: bool = False
+    ) -> MitsubaRenderer:
+        return MitsubaRenderer(
+            mesh, LommelSeeligerSpec(kind="lommel-seeliger") if other_law else self.brdf, samples_per_pixel
+        )
 
     def shape(self) -> TriangleMesh:
         return self.mesh
