@@ -211,7 +211,7 @@ class BuiltAssets:
     def mesh_renderer(
         self, mesh: TriangleMesh, samples_per_pixel: int = 1, *, other_law: bool = False
     ) -> ImageRenderer:
-        """Return a renderer of ``mesh`` with the believed BRDF, or with the law at the other end."""
+        """Return a renderer of ``mesh`` with the believed BRDF, or with a law that darkens the limb differently."""
         brdf = self._scenario.spec.brdf
         if other_law:
             diffuse = isinstance(brdf, LambertSpec | OrenNayarSpec)
