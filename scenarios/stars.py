@@ -66,7 +66,8 @@ def _sorted(directions: FloatArray, magnitudes: FloatArray) -> StarCatalog:
     return catalog
 
 
-def _directions(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
+def star_directions(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
+    """Return unit vectors (..., 3) towards right ascensions and declinations (...,)."""
     return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)
 
 
@@ -126,7 +127,7 @@ def _moved(values: dict[str, FloatArray], years: float) -> StarCatalog:
     east = np.stack([-np.sin(ra), np.cos(ra), none], axis=-1)
     north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
     motion = values["pm_ra"][:, None] * east + values["pm_dec"][:, None] * north
-    moved = _directions(ra, dec) + years * _RAD_PER_MAS * motion
+    moved = star_directions(ra, dec) + years * _RAD_PER_MAS * motion
     return _sorted(moved / np.linalg.norm(moved, axis=1, keepdims=True), values["mag"])
 
 
@@ -154,7 +155,7 @@ def read_stars(path: Path) -> StarCatalog:
     if not rows:
         raise BoresightError(f"{path}: line 1: no star follows")
     ra_deg, dec_deg, magnitudes = np.array(rows, dtype=np.float64).T
-    return _sorted(_directions(np.radians(ra_deg), np.radians(dec_deg)), np.ascontiguousarray(magnitudes))
+    return _sorted(star_directions(np.radians(ra_deg), np.radians(dec_deg)), np.ascontiguousarray(magnitudes))
 
 
 def _star(row: list[str], places: list[int], columns: int, where: str) -> tuple[float, ...]:

@@ -19,6 +19,8 @@ from .estimators.registry import estimator_names as estimator_names
 from .estimators.slam.contract import FrameEstimate as FrameEstimate
 from .estimators.slam.contract import SequenceEstimate as SequenceEstimate
 from .estimators.slam.contract import SequenceEstimator as SequenceEstimator
+from .estimators.stars.calibration import StarField as StarField
+from .estimators.stars.calibration import calibrate as calibrate
 from .renderers.detector import Detector as Detector
 from .renderers.mitsuba3 import MitsubaRenderer as MitsubaRenderer
 from .reports.pages.content import summary as summary

@@ -158,7 +158,7 @@ def read_gazetteer(search_dirs: Sequence[Path] = ()) -> tuple[NamedCrater, ...]:
     """Read the gazetteer in ``$BORESIGHT_DATA``; raise BoresightError if it is missing or a row is invalid."""
     path = find_data_file(GAZETTEER, search_dirs, ".", "craters")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader((line for line in file if not line.startswith("#")), strict=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BoresightError(f"{path}: cannot be read as a CSV table: {error}") from error

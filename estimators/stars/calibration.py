@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from boresight.estimators.stars.wahba import solve_wahba
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, cross_matrix
+from boresight.scenarios.stars import star_directions
 
 _ROUNDS = 20
 
@@ -22,6 +24,12 @@ class StarField:
     uv_px: FloatArray
     directions: FloatArray
     sigma_px: FloatArray
+
+    @classmethod
+    def of(cls, stars: Mapping[str, FloatArray]) -> Self:
+        """Take the columns of the table ``stars`` in `Estimate.details`, deviations by the noise of the image alone."""
+        towards = star_directions(np.radians(stars["ra_deg"]), np.radians(stars["dec_deg"]))
+        return cls(np.stack([stars["u_px"], stars["v_px"]], axis=1), towards, np.asarray(stars["noise_px"]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -148,12 +148,16 @@ class StarNavigator:
         }
         uv, directions = seen.uv_px[result.detections], self._sky.catalog.directions[result.stars]
         predicted = self._sky.camera.project(directions @ attitude.R_cam_inertial.T)
+        ra_rad, dec_rad = np.arctan2(directions[:, 1], directions[:, 0]), np.arcsin(directions[:, 2])
         columns = {
+            "ra_deg": np.degrees(ra_rad) % 360.0,
+            "dec_deg": np.degrees(dec_rad),
             "u_px": uv[:, 0],
             "v_px": uv[:, 1],
             "residual_u_px": uv[:, 0] - predicted[:, 0],
             "residual_v_px": uv[:, 1] - predicted[:, 1],
             "sigma_px": seen.sigma_px[result.detections],
+            "noise_px": found.sigma_px[result.detections],
             "magnitude": self._sky.catalog.magnitudes[result.stars],
         }
         return Estimate(

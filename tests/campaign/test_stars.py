@@ -17,6 +17,7 @@ from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.manifest import RunRequest, make_manifest
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.contract import NoProductError
+from boresight.estimators.stars.calibration import StarField
 from boresight.estimators.stars.detection import Detections
 from boresight.estimators.stars.identification import Identified
 from boresight.estimators.stars.navigator import StarNavigator
@@ -78,6 +79,9 @@ def test_the_attitude_over_the_body_is_that_of_the_stars(folder, lost):
         np.testing.assert_allclose(estimate.pose.translation_m, prior.prior_T_cam_body.translation_m)
         np.testing.assert_allclose(estimate.covariance[3:, 3:], prior.prior_covariance[3:, 3:])
         position.append(estimate.details["stars"]["residual_u_px"])
+        stars = StarField.of(estimate.details["stars"])
+        seen = observation.camera.project(stars.directions @ (true.rotation @ truth.R_body_inertial).T)
+        np.testing.assert_allclose(stars.uv_px, seen, atol=1.0)
     assert stats.chi2.ppf(1e-4, 36) < sum(squares) < stats.chi2.ppf(1 - 1e-4, 36)
     assert np.std(np.concatenate(position)) < 0.2
 
