@@ -41,10 +41,10 @@ def harris(found, **options):
     return LandmarkRecognizer(found, None, parsed, translation_aligner(parsed))
 
 
-def ransac(found, detection_probability=1.0 - 1e-12):
+def ransac(found, detection_probability=1.0 - 1e-12, **more):
     """Return the method; a landmark that is sure to be detected loses nothing among clutter."""
     mixture = {"covariance_scale": 1.0, "corner_sigma_px": 1e-6, "detection_probability": detection_probability}
-    options = ConsensusOptions(mixture=mixture)
+    options = ConsensusOptions(mixture=mixture, **more)
     return ConsensusRecognizer(found, None, options)
 
 
@@ -108,6 +108,13 @@ def test_clutter_leaves_less_of_the_information():
     # 250 corners on the disc of a sphere that is 0.1 of its 2,000 m: 0.008 in a square pixel, sigma 0.3 px.
     odds = 0.02 / 0.98 * np.pi * 100.0**2 / 250 / (2.0 * np.pi * 0.3**2)
     np.testing.assert_allclose(shares, retained_information(np.array(odds)), rtol=0.1)
+
+
+def test_the_alignment_adds_a_place_across_the_line_of_sight():
+    """A place that is known to a thousandth of a pixel is known to that many metres, whatever the landmarks are."""
+    close = ransac(database(), alignment_sigma_px=0.001).predict(PLANNED)
+    depth_m = np.linalg.norm(POSE.translation_m)
+    np.testing.assert_allclose(np.sqrt(np.diag(close)[3:5]), 0.001 / 2000.0 * depth_m, rtol=1e-3)
 
 
 def test_the_calibration_enters():

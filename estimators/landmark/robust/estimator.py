@@ -185,10 +185,10 @@ class ConsensusRecognizer:
         )
 
     def predict(self, planned: Observation) -> FloatArray | None:
-        """Predict the covariance (6, 6) by landmarks and prior, see `Predictor` and `planned_problem`.
+        """Predict the covariance (6, 6) by landmarks, alignment and prior, see `Predictor` and `planned_problem`.
 
         Of a landmark's corner it has the information that is left among clutter, see `retained_information`, with as
-        many corners as the options have, within the hull of the landmarks. It has none of the alignment.
+        many corners as the options have, within the hull of the landmarks.
         """
         options, pose = self._options.mixture, planned.frame.prior_T_cam_body
         count = self._options.corners.count
@@ -202,7 +202,8 @@ class ConsensusRecognizer:
         if problem is None:
             return None
         seen, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
-        fitted = np.linalg.inv(seen + np.linalg.inv(floor_variances(planned.frame.prior_covariance)))
+        aligned = _alignment_information(float(np.linalg.norm(pose.translation_m)), planned.camera, self._options)
+        fitted = np.linalg.inv(seen + aligned + np.linalg.inv(floor_variances(planned.frame.prior_covariance)))
         return np.asarray(fitted + calibration_covariance(planned, pose, fitted))
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
@@ -270,18 +271,21 @@ def _prior_after_alignment(frame: Frame, aligned: Alignment, camera: Camera, opt
     boresight and in attitude there is only the prior.
     """
     prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
-    # Pixels to metres across the line of sight, at the distance of the body, or of its ground where that is near.
     shifted_m = aligned.T_cam_body.translation_m
-    depth_m = aligned.depth_share * float(np.linalg.norm(shifted_m))
-    sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * depth_m
-    measured = np.zeros((6, 6))
-    measured[3, 3] = measured[4, 4] = sigma_m**-2
+    # The distance of the body, or of its ground where that is near.
+    measured = _alignment_information(aligned.depth_share * float(np.linalg.norm(shifted_m)), camera, options)
     information = prior_information + measured
     offset = np.concatenate([np.zeros(3), shifted_m - frame.prior_T_cam_body.translation_m])
     # Product of two Gaussians: (P^-1 + H) mean = H z, from the mean of the prior.
     shift = np.linalg.solve(information, measured @ offset)
     mean = frame.prior_T_cam_body.perturbed(shift[:3], shift[3:])
     return PosePrior(mean, information)
+
+
+def _alignment_information(depth_m: float, camera: Camera, options: ConsensusOptions) -> FloatArray:
+    """Information (6, 6) of the aligned translation across the line of sight, of what is ``depth_m`` away."""
+    sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * depth_m
+    return np.diag([0.0, 0.0, 0.0, sigma_m**-2, sigma_m**-2, 0.0])
 
 
 def _hull_px2(uv_px: FloatArray, least_px2: float) -> float:
