@@ -56,7 +56,7 @@ class CentroidEstimator(SightEstimator):
     """
 
     name: ClassVar[str] = "centroid"
-    version: ClassVar[int] = 11
+    version: ClassVar[int] = 12
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = CentroidOptions
 

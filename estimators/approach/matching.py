@@ -41,7 +41,7 @@ class SilhouetteEstimator(SightEstimator):
     """
 
     name: ClassVar[str] = "silhouette"
-    version: ClassVar[int] = 9
+    version: ClassVar[int] = 10
     fuses_prior: ClassVar[bool] = True
     options_model: ClassVar[type[SpecModel]] = SightOptions
 
@@ -80,7 +80,7 @@ class LambertCorrelation(SilhouetteEstimator):
     """
 
     name: ClassVar[str] = "centroid-phase"
-    version: ClassVar[int] = 8
+    version: ClassVar[int] = 9
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:

@@ -23,6 +23,8 @@ _CELLS, _ARCS = 4, 6
 _DERIVATIVE_PX = 100.0
 _LEAST_STEP = 0.03  # of a turn, rad, and of the range, for a derivative: aliasing of renderings is small next to it
 _NODES, _WEIGHTS = hermegauss(6)
+_OWN_SAMPLING = 0.1
+"""Share of the variance of a sampling error that image and rendering at the same place do not have in common."""
 
 
 class SightOptions(SpecModel):
@@ -109,7 +111,7 @@ def estimate_sight(
         told |= {f"{how.name}_iterations": count, "correlation": correlation}
     with clock("mesh_rendering"):
         if view.diameter_px(last) < RENDERED_PX:
-            covariance_px2 += _sampling(view, last, one_law, body, how)
+            covariance_px2 += _sampling(view, last, one_law, body, how, float(np.linalg.norm(shift_px)))
         by_pose, left_px2 = _by_pose(view, last, body, how, frame.prior_covariance)
     # Each error of the pose is tried alone. The largest errors of the shift are across what that leaves.
     covariance_px2 += np.trace(left_px2) * np.eye(2) if how.any_direction else left_px2
@@ -226,12 +228,16 @@ def _shift_covariance(
     return covariance, float(np.corrcoef(observed.ravel(), model.ravel())[0, 1])
 
 
-def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: Sighting) -> FloatArray:
+def _sampling(
+    view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: Sighting, left_px: float
+) -> FloatArray:
     """Covariance (2, 2), px^2, of a shift's error by the places in their pixels that a small body falls on.
 
-    A crescent that is thinner than a pixel looks the same wherever it is in the pixel, until it jumps to the next. If a
-    place x is seen at x + A sin(2 pi x + b), renderings that are moved by a quarter of a pixel to either side are
+    If a place x is seen at x + A sin(2 pi x + b), renderings that are moved by a quarter of a pixel to either side are
     measured with errors whose mean square is A^2 for any b: the variance for image and rendering at independent places.
+    They are ``left_px`` apart when the iteration ends, and have a share 1 - cos(2 pi left_px) of it, at least what they
+    do not have in common. A crescent that is thinner than a pixel looks the same wherever it is in the pixel, until it
+    jumps to the next: with A above 1 / (2 pi) px places are no longer told apart, and the whole variance counts.
     """
     found, point_px = np.zeros((2, 2)), view.camera.project(pose.translation_m)
     for step_px in 0.25 * np.vstack([np.eye(2), -np.eye(2)]):
@@ -239,7 +245,9 @@ def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: S
         if (moved := _bright_part(view.render(there), body)) is not None:
             error_px = how.shift(moved, rendered) - step_px
             found += 0.5 * np.outer(error_px, error_px)
-    return found
+    if np.linalg.eigvalsh(found)[-1] > (2.0 * np.pi) ** -2:
+        return found
+    return found * max(1.0 - float(np.cos(2.0 * np.pi * min(left_px, 0.5))), _OWN_SAMPLING)
 
 
 def _by_pose(
