@@ -228,9 +228,7 @@ def _shift_covariance(
     return covariance, float(np.corrcoef(observed.ravel(), model.ravel())[0, 1])
 
 
-def _sampling(
-    view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: Sighting, left_px: float
-) -> FloatArray:
+def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: Sighting, left_px: float) -> FloatArray:
     """Covariance (2, 2), px^2, of a shift's error by the places in their pixels that a small body falls on.
 
     If a place x is seen at x + A sin(2 pi x + b), renderings that are moved by a quarter of a pixel to either side are

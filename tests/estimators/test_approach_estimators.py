@@ -126,6 +126,19 @@ def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
     assert mean_nees([(truth, seen_by, estimate(name, seen_by)) for truth, seen_by in seen]) < 1.6
 
 
+@pytest.mark.parametrize(("name", "least"), [("centroid", 0.6), ("silhouette", 0.15)])
+def test_small_bodies_share_the_sampling_error_with_their_rendering(name, least):
+    """Were it independent of the image's, the silhouette's variance across the line of sight would be 16 errors'."""
+    squares = []
+    for trial in range(TRIALS):
+        truth, seen_by = observed(trial, 10.0, phase_deg=(0.0, 60.0))
+        found = estimate(name, seen_by)
+        across = np.linalg.svd(truth.translation_m[None])[2][1:]
+        error = across @ (found.pose.translation_m - truth.translation_m)
+        squares.append(error @ np.linalg.solve(across @ found.covariance[3:, 3:] @ across.T, error) / 2.0)
+    assert least < np.mean(squares) < 1.6
+
+
 def test_the_silhouette_takes_what_errors_of_the_pose_leave_as_large_in_every_direction():
     """Errors of the pose that the derivatives do not explain widen the covariance in every direction."""
     truth, seen = observed(0, size_px=100.0, range_sigma=0.05)
