@@ -235,7 +235,7 @@ def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: S
     measured with errors whose mean square is A^2 for any b: the variance for image and rendering at independent places.
     They are ``left_px`` apart when the iteration ends, and have a share 1 - cos(2 pi left_px) of it, at least what they
     do not have in common. A crescent that is thinner than a pixel looks the same wherever it is in the pixel, until it
-    jumps to the next: with A above 1 / (2 pi) px places are no longer told apart, and the whole variance counts.
+    jumps to the next: with 2 pi A at 1 places are no longer told apart. So the share is at least (2 pi A)^2, up to 1.
     """
     found, point_px = np.zeros((2, 2)), view.camera.project(pose.translation_m)
     for step_px in 0.25 * np.vstack([np.eye(2), -np.eye(2)]):
@@ -243,9 +243,8 @@ def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: S
         if (moved := _bright_part(view.render(there), body)) is not None:
             error_px = how.shift(moved, rendered) - step_px
             found += 0.5 * np.outer(error_px, error_px)
-    if np.linalg.eigvalsh(found)[-1] > (2.0 * np.pi) ** -2:
-        return found
-    return found * max(1.0 - float(np.cos(2.0 * np.pi * min(left_px, 0.5))), _OWN_SAMPLING)
+    steepest = (2.0 * np.pi) ** 2 * float(np.linalg.eigvalsh(found)[-1])
+    return found * min(max(1.0 - np.cos(2.0 * np.pi * min(left_px, 0.5)), steepest, _OWN_SAMPLING), 1.0)
 
 
 def _by_pose(
