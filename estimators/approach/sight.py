@@ -244,7 +244,8 @@ def _sampling(view: BodyView, pose: Pose, rendered: Patch, body: LitBody, how: S
             error_px = how.shift(moved, rendered) - step_px
             found += 0.5 * np.outer(error_px, error_px)
     steepest = (2.0 * np.pi) ** 2 * float(np.linalg.eigvalsh(found)[-1])
-    return found * min(max(1.0 - np.cos(2.0 * np.pi * min(left_px, 0.5)), steepest, _OWN_SAMPLING), 1.0)
+    apart = 1.0 - float(np.cos(2.0 * np.pi * min(left_px, 0.5)))
+    return found * min(max(apart, steepest, _OWN_SAMPLING), 1.0)
 
 
 def _by_pose(
