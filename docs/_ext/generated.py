@@ -42,7 +42,7 @@ PYTHON = {
         "SequenceEstimator", "TrackSequence", "TrackFrame", "SequenceEstimate", "FrameEstimate",
     ),
     "Bodies, cameras and images": (
-        "load_body", "TriangleMesh", "Camera", "Pose", "View", "MitsubaRenderer", "Detector",
+        "load_body", "TriangleMesh", "Camera", "Pose", "View", "MitsubaRenderer", "Detector", "calibrate", "StarField",
     ),
 }  # fmt: skip
 """Every public name of the package, in groups."""
