@@ -148,10 +148,10 @@ class StarNavigator:
         }
         uv, directions = seen.uv_px[result.detections], self._sky.catalog.directions[result.stars]
         predicted = self._sky.camera.project(directions @ attitude.R_cam_inertial.T)
-        ra_rad, dec_rad = np.arctan2(directions[:, 1], directions[:, 0]), np.arcsin(directions[:, 2])
+        x, y, z = directions.T
         columns = {
-            "ra_deg": np.degrees(ra_rad) % 360.0,
-            "dec_deg": np.degrees(dec_rad),
+            "ra_deg": np.degrees(np.arctan2(y, x)) % 360.0,
+            "dec_deg": np.degrees(np.arctan2(z, np.hypot(x, y))),
             "u_px": uv[:, 0],
             "v_px": uv[:, 1],
             "residual_u_px": uv[:, 0] - predicted[:, 0],

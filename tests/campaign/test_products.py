@@ -283,10 +283,10 @@ def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
 )
 def test_the_other_law_darkens_the_limb_differently(tmp_path, believed, other):
     (tmp_path / "scene.yaml").write_text(SCENE + f"onboard: {{brdf: {believed}}}\n")
-    lends = scenario_assets(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1).for_estimator()
-    view = View(lends.camera, look_at(np.array([2000.0, 0.0, 0.0]), 0.0), np.array([0.8, 0.6, 0.0]))
-    image = lends.mesh_renderer(lends.shape(), other_law=True).render(view)
-    by_law = MitsubaRenderer(lends.shape(), other, 1, variant=choose_variant()).render(view)
+    assets = scenario_assets(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1).for_estimator()
+    view = View(assets.camera, look_at(np.array([2000.0, 0.0, 0.0]), 0.0), np.array([0.8, 0.6, 0.0]))
+    image = assets.mesh_renderer(assets.shape(), other_law=True).render(view)
+    by_law = MitsubaRenderer(assets.shape(), other, 1, variant=choose_variant()).render(view)
     np.testing.assert_allclose(image, by_law, rtol=1e-5)
     assert image.any()
 
