@@ -14,6 +14,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import spherical_direction
 from boresight.scenarios.reading import number_in
 
 COLUMNS = ("ra_deg", "dec_deg", "mag")
@@ -64,11 +65,6 @@ def _sorted(directions: FloatArray, magnitudes: FloatArray) -> StarCatalog:
     for array in (catalog.directions, catalog.magnitudes):
         array.setflags(write=False)  # several trials share them
     return catalog
-
-
-def star_directions(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
-    """Return unit vectors (..., 3) towards right ascensions and declinations (...,)."""
-    return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)
 
 
 def hipparcos_file() -> Path:
@@ -127,7 +123,7 @@ def _moved(values: dict[str, FloatArray], years: float) -> StarCatalog:
     east = np.stack([-np.sin(ra), np.cos(ra), none], axis=-1)
     north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
     motion = values["pm_ra"][:, None] * east + values["pm_dec"][:, None] * north
-    moved = star_directions(ra, dec) + years * _RAD_PER_MAS * motion
+    moved = spherical_direction(ra, dec) + years * _RAD_PER_MAS * motion
     return _sorted(moved / np.linalg.norm(moved, axis=1, keepdims=True), values["mag"])
 
 
@@ -155,7 +151,7 @@ def read_stars(path: Path) -> StarCatalog:
     if not rows:
         raise BoresightError(f"{path}: line 1: no star follows")
     ra_deg, dec_deg, magnitudes = np.array(rows, dtype=np.float64).T
-    return _sorted(star_directions(np.radians(ra_deg), np.radians(dec_deg)), np.ascontiguousarray(magnitudes))
+    return _sorted(spherical_direction(np.radians(ra_deg), np.radians(dec_deg)), np.ascontiguousarray(magnitudes))
 
 
 def _star(row: list[str], places: list[int], columns: int, where: str) -> tuple[float, ...]:

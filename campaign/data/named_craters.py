@@ -25,7 +25,16 @@ from boresight.scenarios.atomic import write_text
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, pixel_to_opencv, project_circles
+from boresight.scenarios.geometry import (
+    Camera,
+    Ellipses,
+    Pose,
+    TriangleMesh,
+    View,
+    pixel_to_opencv,
+    project_circles,
+    spherical_direction,
+)
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.sequences.ground import MeshGround
@@ -141,8 +150,7 @@ class NamedCrater:
     @property
     def direction(self) -> FloatArray:
         """(3,) unit vector from the body's centre."""
-        c = np.cos(self.latitude_rad)
-        return np.array([c * np.cos(self.longitude_rad), c * np.sin(self.longitude_rad), np.sin(self.latitude_rad)])
+        return spherical_direction(self.longitude_rad, self.latitude_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 from boresight.estimators.stars.wahba import solve_wahba
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, RadialDistortion, cross_matrix
-from boresight.scenarios.stars import star_directions
+from boresight.scenarios.geometry import Camera, RadialDistortion, cross_matrix, spherical_direction
 
 _ROUNDS = 20
 
@@ -28,7 +27,7 @@ class StarField:
     @classmethod
     def of(cls, stars: Mapping[str, FloatArray]) -> Self:
         """Take the columns of the table ``stars`` in `Estimate.details`, deviations by the noise of the image alone."""
-        towards = star_directions(np.radians(stars["ra_deg"]), np.radians(stars["dec_deg"]))
+        towards = spherical_direction(np.radians(stars["ra_deg"]), np.radians(stars["dec_deg"]))
         return cls(np.stack([stars["u_px"], stars["v_px"]], axis=1), towards, np.asarray(stars["noise_px"]))
 
 

@@ -14,7 +14,15 @@ from boresight.scenarios.geometry.camera import Camera, SurfaceHits, View, pixel
 from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
 from boresight.scenarios.geometry.lens import OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.mesh import TriangleMesh
-from boresight.scenarios.geometry.pose import Pose, angle_between, cross_matrix, look_at, orbit_axes, plane_axes
+from boresight.scenarios.geometry.pose import (
+    Pose,
+    angle_between,
+    cross_matrix,
+    look_at,
+    orbit_axes,
+    plane_axes,
+    spherical_direction,
+)
 
 __all__ = [
     "Camera",
@@ -33,4 +41,5 @@ __all__ = [
     "pixel_to_opencv",
     "plane_axes",
     "project_circles",
+    "spherical_direction",
 ]

@@ -29,6 +29,13 @@ def angle_between(first: FloatArray, second: FloatArray) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
 
 
+def spherical_direction(longitude_rad: FloatArray | float, latitude_rad: FloatArray | float) -> FloatArray:
+    """Return unit vectors (..., 3) towards longitudes and latitudes, or right ascensions and declinations."""
+    c = np.cos(latitude_rad)
+    parts = c * np.cos(longitude_rad), c * np.sin(longitude_rad), np.sin(latitude_rad)
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
 def plane_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors (n, 3) perpendicular to each unit normal (n, 3); first, second, normal are right-handed."""
     # The coordinate axis farthest from the normal: the product cannot vanish.

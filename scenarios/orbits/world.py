@@ -15,7 +15,7 @@ from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.gravity import Harmonics, homogeneous_harmonics, normalisation, solid_harmonics
 from boresight.scenarios.dynamics.propagation import radiation_pressure
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, TriangleMesh, plane_axes
+from boresight.scenarios.geometry import Camera, TriangleMesh, plane_axes, spherical_direction
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import OrbitSpec
 
@@ -72,7 +72,7 @@ class StarShape:
         """Return a closed mesh through the table; its first and last rows become one vertex each."""
         radii, (latitudes, longitudes) = self.radii_m, _lattice()
         rows, columns = len(latitudes), len(longitudes) - 1
-        unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])
+        unit = spherical_direction(longitudes[None, :-1], latitudes[1:-1, None])
         # The last longitude repeats the first and is left out.
         ring = (unit * radii[1:-1, :-1, None]).reshape(-1, 3)
         poles = np.array([[0.0, 0.0, -radii[0, 0]], [0.0, 0.0, radii[-1, 0]]])
@@ -104,7 +104,7 @@ def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
     found = np.linalg.solve(heavy.T @ basis, heavy.T @ radii)
     rms = np.sqrt(np.average((basis @ found - radii) ** 2, weights=weights))
     latitudes, longitudes = _lattice()
-    table = _basis(_directions(latitudes[:, None], longitudes[None, :]).reshape(-1, 3), degree) @ found
+    table = _basis(spherical_direction(longitudes[None, :], latitudes[:, None]).reshape(-1, 3), degree) @ found
     return StarShape(table.reshape(len(latitudes), len(longitudes)), float(rms))
 
 
@@ -121,12 +121,6 @@ def _lattice() -> tuple[FloatArray, FloatArray]:
     """Latitudes and longitudes of the table, rad."""
     rows, columns = round(180.0 / _STEP_DEG), round(360.0 / _STEP_DEG)
     return np.linspace(-0.5 * np.pi, 0.5 * np.pi, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1)
-
-
-def _directions(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
-    """(..., 3) unit vectors."""
-    parts = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)
-    return np.stack(np.broadcast_arrays(*parts), -1)
 
 
 def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import orbit_axes
+from boresight.scenarios.geometry import orbit_axes, spherical_direction
 from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.camera import BodyKernelsSpec
 from boresight.scenarios.spec.distribution import Direction, Row3
@@ -163,7 +163,7 @@ class RotationSpec(SpecModel):
         ra, dec = np.radians([self.pole_ra_deg, self.pole_dec_deg])
         meridian = np.radians(self.meridian_deg + self.rate_deg_day * time_s / _DAY_S)
         node = np.array([-np.sin(ra), np.cos(ra), 0.0])  # where the body's equator crosses the inertial one
-        pole = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+        pole = spherical_direction(ra, dec)
         across, c, s = np.cross(pole, node), np.cos(meridian)[:, None], np.sin(meridian)[:, None]
         rows = [c * node + s * across, c * across - s * node, np.broadcast_to(pole, (len(time_s), 3))]
         return np.asarray(np.stack(rows, axis=1), dtype=np.float64)

@@ -16,6 +16,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
+from boresight.scenarios.geometry import spherical_direction
 
 
 def read_grid(source: ShapeFile, west: bool) -> RawShape:
@@ -30,7 +31,7 @@ def read_grid(source: ShapeFile, west: bool) -> RawShape:
     latitudes_deg, longitudes_deg, radii = _grid(source, table, west)
     # South pole, the rings from south to north, north pole.
     lat, lon = np.meshgrid(np.radians(latitudes_deg)[1:-1], np.radians(longitudes_deg), indexing="ij")
-    ring = radii[1:-1, :, None] * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    ring = radii[1:-1, :, None] * spherical_direction(lon, lat)
     south, north = [0.0, 0.0, -radii[0].mean()], [0.0, 0.0, radii[-1].mean()]
     vertices = np.vstack([south, ring.reshape(-1, 3), north])
     return source.shape(vertices, _faces(len(latitudes_deg) - 2, len(longitudes_deg)))
