@@ -49,7 +49,7 @@ def shares_of_prior(covariance: FloatArray, prior: FloatArray) -> tuple[FloatArr
     return np.asarray(shares), np.asarray(axes)
 
 
-def calibration_covariance(observation: Observation, T_cam_body: Pose, covariance: FloatArray) -> FloatArray:
+def calibration_in_posterior(observation: Observation, T_cam_body: Pose, covariance: FloatArray) -> FloatArray:
     """(6, 6) covariance of the error that the calibration makes in a maximum a posteriori pose.
 
     An estimate with the covariance P, the camera taken as exact, has the share K = I - P P_0^-1 of an error of the

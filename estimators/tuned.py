@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance, floor_variances, free_directions, shares_of_prior
+from boresight.estimators.prior import calibration_in_posterior, floor_variances, free_directions, shares_of_prior
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
@@ -278,7 +278,7 @@ class TunedEstimator:
         tuned = tuned_covariance(estimate.covariance, prior, factor)
         return replace(
             estimate,
-            covariance=tuned + calibration_covariance(observation, estimate.pose, estimate.covariance),
+            covariance=tuned + calibration_in_posterior(observation, estimate.pose, estimate.covariance),
             common=None,
             diagnostics={**estimate.diagnostics, "covariance_factor": factor},
         )

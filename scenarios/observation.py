@@ -93,7 +93,7 @@ class Observation:
         A body at the range z is seen where it is if its pose is wrong by z dc / f across the line of sight, for an
         error dc of the principal point, and by z df / f along it, for an error df of the focal length f, where the
         body is small next to its range. So an estimate from the image alone has these errors whatever the image holds;
-        one with a prior has a share of them, see `boresight.estimators.prior.calibration_covariance`.
+        one with a prior has a share of them, see `boresight.estimators.prior.calibration_in_posterior`.
         """
         range_m = float(T_cam_body.translation_m[2])
         across_m = range_m * self.camera_sigma.principal_point_px / np.array([self.camera.fx_px, self.camera.fy_px])

@@ -25,7 +25,7 @@ from boresight.estimators.craters.matching.association import (
 )
 from boresight.estimators.craters.matching.transfer import by_small_motion, occluded
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance, floor_variances
+from boresight.estimators.prior import calibration_in_posterior, floor_variances
 from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.errors import BoresightError
@@ -133,7 +133,7 @@ class CraterPose:
         return Estimate(
             "ok",
             pose=pose,
-            covariance=found.covariance + calibration_covariance(observation, pose, found.covariance),
+            covariance=found.covariance + calibration_in_posterior(observation, pose, found.covariance),
             stages=(Stage("recognition", pose),),
             diagnostics={"n_landmarks": len(found.pairs)},
             timings_s=clock.seconds,

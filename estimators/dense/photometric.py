@@ -37,7 +37,7 @@ from boresight.estimators.landmark.recognizer import (
 )
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance
+from boresight.estimators.prior import calibration_in_posterior
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
@@ -106,7 +106,7 @@ class PhotometricEstimator:
             return Estimate("failed", found.failure, stages=self._stages(found), timings_s=clock.seconds)
         last = found.fits[-1]
         bound = inverse(last.information)
-        calibration = calibration_covariance(observation, last.T_cam_body, bound)
+        calibration = calibration_in_posterior(observation, last.T_cam_body, bound)
         return Estimate(
             "ok",
             pose=last.T_cam_body,

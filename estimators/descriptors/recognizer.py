@@ -27,7 +27,7 @@ from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior
 from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, minimal_jacobian
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance
+from boresight.estimators.prior import calibration_in_posterior
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
@@ -106,7 +106,7 @@ class DescriptorNavigator:
         if isinstance(found, str):
             return Estimate("failed", found, timings_s=clock.seconds)
         consensus, posterior = found
-        calibration = calibration_covariance(observation, posterior.T_cam_body, posterior.covariance)
+        calibration = calibration_in_posterior(observation, posterior.T_cam_body, posterior.covariance)
         return Estimate(
             "ok",
             pose=posterior.T_cam_body,

@@ -33,7 +33,7 @@ from boresight.estimators.maplets.matching import (
     render_maplets,
 )
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance
+from boresight.estimators.prior import calibration_in_posterior
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -266,7 +266,7 @@ class MapletNavigator:
             return reached
         fit = found.fits[-1]
         covariance = fit.posterior.covariance
-        calibration = calibration_covariance(observation, fit.posterior.T_cam_body, covariance)
+        calibration = calibration_in_posterior(observation, fit.posterior.T_cam_body, covariance)
         return replace(
             reached,
             status="ok",

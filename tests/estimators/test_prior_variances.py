@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from boresight.estimators.landmark.pose.posterior import GaussianPose, pose_offset, solve_map
 from boresight.estimators.landmark.pose.problem import PoseProblem
-from boresight.estimators.prior import calibration_covariance, floor_variances
+from boresight.estimators.prior import calibration_in_posterior, floor_variances
 from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.geometry import Camera, Pose, look_at
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
@@ -93,12 +93,12 @@ def test_the_calibration_errs_as_far_as_the_image_decides():
     fit = np.linalg.inv(found.jac.T @ found.jac)
     frame = Frame(np.zeros((512, 512), np.float32), np.array([0.0, 0.0, -1.0]), prior, np.diag(sigmas**2))
     observation = Observation(camera, frame, sigma)
-    stated = fit + calibration_covariance(observation, truth, fit)
+    stated = fit + calibration_in_posterior(observation, truth, fit)
     # 400 draws give a standard deviation to 3.5 % (1 sigma).
     np.testing.assert_allclose(np.std(errors, axis=0), np.sqrt(np.diag(stated)), rtol=0.11)
     # An estimate by the image alone, whose range is worse than the prior's, has all of it.
     alone = np.diag([0.003, 0.003, 0.002, 0.1, 0.1, 4.0]) ** 2
     np.testing.assert_array_equal(
-        calibration_covariance(observation, truth, alone), observation.calibration_covariance(truth)
+        calibration_in_posterior(observation, truth, alone), observation.calibration_covariance(truth)
     )
     assert np.sqrt(stated[5, 5]) < 0.5 * np.sqrt((fit + observation.calibration_covariance(truth))[5, 5])

@@ -42,7 +42,7 @@ from boresight.estimators.landmark.robust.search import (
 )
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import calibration_covariance, floor_variances
+from boresight.estimators.prior import calibration_in_posterior, floor_variances
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -175,7 +175,7 @@ class ConsensusRecognizer:
         return Estimate(
             "ok",
             pose=solution.pose,
-            covariance=covariance + calibration_covariance(observation, solution.pose, covariance),
+            covariance=covariance + calibration_in_posterior(observation, solution.pose, covariance),
             # As if it were known which corner is whose: no candidate takes information away.
             bound=np.linalg.inv(solution.evaluation.hessian[0]),
             stages=(Stage("alignment", solution.alignment.T_cam_body), Stage("recognition", solution.pose)),
@@ -204,7 +204,7 @@ class ConsensusRecognizer:
         seen, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
         aligned = _alignment_information(float(np.linalg.norm(pose.translation_m)), planned.camera, self._options)
         fitted = np.linalg.inv(seen + aligned + np.linalg.inv(floor_variances(planned.frame.prior_covariance)))
-        return np.asarray(fitted + calibration_covariance(planned, pose, fitted))
+        return np.asarray(fitted + calibration_in_posterior(planned, pose, fitted))
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
         """Solve for the pose, or return the reason why there is none."""
