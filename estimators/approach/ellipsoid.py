@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -20,6 +21,7 @@ class Ellipsoid:
     form: FloatArray
 
     @classmethod
+    @lru_cache(maxsize=1)  # for all methods, in all scenarios of a body
     def of(cls, mesh: TriangleMesh) -> Self:
         """Return the ellipsoid whose volume has the centre and the directions of the moments of a closed mesh.
 

@@ -153,7 +153,7 @@ class LimbEstimator:
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:
-        self._outline, self._ellipsoid, self._radius_m = ShapeOutline(mesh), Ellipsoid.of(mesh), mesh.radius_m
+        self._outline, self._ellipsoid, self._radius_m = ShapeOutline.of(mesh), Ellipsoid.of(mesh), mesh.radius_m
         self._area_vectors_m2, self._options = mesh.area_vectors_m2, options
 
     @classmethod

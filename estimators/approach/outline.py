@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -29,6 +31,12 @@ class ShapeOutline:
         self._edges = np.column_stack([ends[order[pairs]], order[pairs] // 3, order[pairs + 1] // 3])
         self._vertices_m, self._faces, self._corner = np.array(mesh.vertices_m), faces, faces[:, 0].copy()
         self._area_vectors_m2, self._normals = np.array(mesh.area_vectors_m2), mesh.normals
+
+    @classmethod
+    @lru_cache(maxsize=1)  # for all scenarios of a body
+    def of(cls, mesh: TriangleMesh) -> Self:
+        """Return the outline of a mesh, that of the last one without finding its edges again."""
+        return cls(mesh)
 
     def silhouette(self, T_cam_body: Pose) -> IndexArray:
         """Return the vertices (k, 2) of the edges between a facet that is seen from the front and another."""
