@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import Imager, open_ground, open_renderer
-from boresight.campaign.imaging.preview import longest_m, ranges_m, typical_range_m
+from boresight.campaign.imaging.ranges import longest_m, ranges_m, typical_range_m
 from boresight.campaign.imaging.real_images import images_digest, open_images
 from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer, outlines_m

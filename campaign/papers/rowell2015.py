@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from boresight.campaign.imaging.credits import credit_lines
-from boresight.campaign.imaging.preview import typical_range_m
+from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.world import World, open_world
 from boresight.campaign.inspection.recompute import Case
 from boresight.campaign.kinds.landmark_database import DatabaseTrials

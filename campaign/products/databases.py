@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import ImageStore
-from boresight.campaign.imaging.preview import typical_range_m
+from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.real_images import images_digest, open_survey
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.pool.steps import report_progress

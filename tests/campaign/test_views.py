@@ -13,7 +13,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.imaging.preview import preview, typical_range_m
+from boresight.campaign.imaging.preview import preview
+from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.world import check_bodies, open_world
 from boresight.campaign.products.databases import database_images
 from boresight.campaign.runs.check import preflight
@@ -137,6 +138,24 @@ def test_facets_are_told_in_pixels_and_coarse_ones_with_what_to_change():
         assert told_px == pytest.approx(edge_m / (19_850 / scenario.spec.camera.camera().fx_px), rel=0.03)
         assert "coarse for this camera" in line
     assert "coarse" not in preview(load_scenario("quickstart", far[:2]))[2]
+
+
+def test_samples_move_a_small_body_as_far_as_is_told():
+    """Against discs at 400 random places, on the regular grid of samples of a renderer."""
+    size_m = float(np.ptp(load_body(load_scenario("quickstart", (BALL,)).spec.body).mesh.vertices_m, axis=0).max())
+    camera, far = "camera={width_px: 64, height_px: 64, focal_px: [100, 100]}", f"viewpoint.range_m={10.0 * size_m}"
+    scene = (BALL, camera, far)
+    (line,) = (one for one in preview(load_scenario("quickstart", scene)) if "samples a pixel" in one)
+    rng, at = np.random.default_rng(3), (np.arange(32) + 0.5) / 2.0
+    errors = []
+    for centre in 8.0 + rng.random((400, 2)):
+        inside = np.hypot(at[:, None] - centre[0], at - centre[1]) <= 5.0
+        errors += [inside.sum(axis=1 - axis) @ at / inside.sum() - centre[axis] for axis in range(2)]
+    told = re.search(r"^4 samples .* a body of 10 px by (\S+) px .*rendering.samples_per_pixel to (\d+)$", line)
+    assert float(told[1]) == pytest.approx(np.std(errors), rel=0.15)
+    assert int(told[2]) == 16
+    finer = preview(load_scenario("quickstart", (*scene, "rendering.samples_per_pixel=16")))
+    assert not [one for one in finer if "samples a pixel" in one]
 
 
 def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():
