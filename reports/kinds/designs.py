@@ -25,6 +25,7 @@ from boresight.reports.kinds.design_data import (
     Outcome,
     outcomes,
 )
+from boresight.reports.kinds.maps import level_maps
 from boresight.reports.kinds.pooled import extreme_grid, is_wide, level_grids
 from boresight.reports.run.data import GridAxis, RunData
 from boresight.reports.run.outcomes import MEANING
@@ -195,6 +196,8 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     if design is None:
         return
     if is_wide(run):
+        if run.posed_pairs() and len(design.axes) > 1:
+            yield from level_maps(run, design)
         return
     data, found = DesignData(run, design), outcomes(run)
     if kind_schema(run.manifest.experiment).frames:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from boresight.reports.run.data import RunData, value_at
 from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.records import count_of
 from boresight.reports.schema.tables import kind_schema
 from boresight.scenarios.known import Known, merged
 
@@ -84,4 +85,5 @@ def known_lines(run: RunData) -> Iterator[str]:
         yield merged(list(groups)).line()
         return
     for one, names in groups.items():
-        yield f"{', '.join(names)}: {one.line()}" if len(groups) > 1 else one.line()
+        further = f" and {count_of(len(names) - _FEW, 'further scenario')}" if len(names) > _FEW else ""
+        yield f"{', '.join(names[:_FEW])}{further}: {one.line()}" if len(groups) > 1 else one.line()

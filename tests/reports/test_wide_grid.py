@@ -1,5 +1,6 @@
 """What a report says of a grid of more cells than a page can show."""
 
+import itertools
 import subprocess
 import sys
 
@@ -7,8 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from stored_grids import METHODS, PHASES, RANGES, TRIALS, size_m, store_thousand, store_wide
+from stored_runs import RunBuilder, pose_error
 
 from boresight.reports.kinds import brief_grids, pooled, report_figures, report_grids
+from boresight.reports.kinds.maps import level_maps
 from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
 from boresight.reports.pages.build import html_page
 from boresight.reports.pages.content import content_of, read_content
@@ -59,6 +62,55 @@ def test_the_page_stays_short_and_says_where_all_cells_are(wide):
     assert "rock-2-0" not in page
     medians = wide.table().query("stage == 'final' and measure == 'position_error_m' and statistic == 'median'")
     assert len(medians) == 360
+
+
+def cells_of(figure):
+    """Texts of the cells of each panel of a heat map, by column and row."""
+    panels = [axes for axes in figure.axes if axes.texts]
+    return [{tuple(map(int, text.get_position())): text.get_text() for text in axes.texts} for axes in panels]
+
+
+def test_maps_have_the_medians_and_trials_of_the_last_two_axes(tmp_path):
+    run = read_content(store_wide(tmp_path / "run", methods=METHODS[:2])).run
+    error, nees, last, _ = level_maps(run, run.manifest.grid)
+    assert (error.stem, nees.stem) == ("map_error_method-0", "map_nees_method-0")
+    (cells,) = cells_of(error.figure)
+    assert len(cells) == len(RANGES) * len(PHASES)
+    median = np.median([size_m(2, 3, 0, trial) for trial in range(TRIALS)])
+    assert cells[3, 2].startswith(f"{median:.0f}\n[")
+    assert cells[3, 2].endswith(f"\n{TRIALS}/{TRIALS}")
+    assert cells_of(last.figure)[0][5, 4] == f"-\n0/{TRIALS}"
+    assert cells_of(nees.figure)[0][0, 0] == f"-\n0/{TRIALS}", "no covariance was stated"
+
+
+def test_maps_of_the_line_of_sight_are_in_pixels_and_apart_by_the_axis_before(tmp_path):
+    """Of two bodies, which are pooled, at two ranges: an error of so many pixels is as many times farther out."""
+    builder, scenarios, specs, focal_px = RunBuilder(tmp_path / "run"), [], {}, 500.0
+    prior = {f"prior_{key}": value for key, value in pose_error(np.array([50.0, 0.0, 0.0]), 1.0).items()}
+    axes = {"body": ("a", "b"), "known": ("well", "badly"), "size": ("10", "30"), "phase": ("low", "high")}
+    for body, known, size, phase in itertools.product(*axes.values()):
+        name, range_m = f"rock-{body}-{known}-{size}-{phase}", 30_000.0 / float(size)
+        levels = dict(zip(axes, (body, known, size, phase), strict=True))
+        scenarios.append({"name": name, "base": "rock", "levels": levels})
+        specs[name] = {"camera": {"width_px": 64, "height_px": 64, "focal_px": [focal_px, focal_px]}}
+        for trial in range(TRIALS):
+            off_px = 0.1 * (1 + trial) * (3.0 if known == "badly" else 1.0)
+            seen = {"tx_m": off_px * range_m / focal_px, "ty_m": 0.0, "tz_m": range_m}
+            true = {"true_tx_m": 0.0, "true_ty_m": 0.0, "true_tz_m": range_m}
+            errors = pose_error(np.array([seen["tx_m"], 0.0, 0.0]), 1.0)
+            key = {"trial": trial, "scenario": name, "estimator": "limb", "status": "ok", "reason": "", "image": ""}
+            builder.add("rows", **key, range_m=range_m, sight_nees=3.0, **prior, **errors, **seen, **true)
+    told = [{"name": name, "label": name, "levels": list(levels), "values": None} for name, levels in axes.items()]
+    grid = {"design": "full", "axes": told, "scenarios": scenarios}
+    run = read_content(builder.write(grid=grid, scenarios=specs, estimators=["limb"], report=None, trials=TRIALS)).run
+    error, nees = level_maps(run, run.manifest.grid)
+    assert "Pooled over body." in error.caption
+    well, badly = cells_of(error.figure)
+    for place in itertools.product(range(2), range(2)):
+        assert well[place].startswith("0.45")
+        assert badly[place].startswith("1.35")
+        assert well[place].endswith(f"\n{2 * TRIALS}/{2 * TRIALS}")
+    assert cells_of(nees.figure)[0][0, 0].startswith("1.50")
 
 
 def test_comparisons_grow_with_the_number_of_estimators_alone(wide):
