@@ -94,7 +94,8 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | No
         if sight is not None and not np.isnan(sight.distance_m):
             near_m = sight.distance_m, sight.nearest_m
         lines.append(_facets_in_words(spec, mesh, len(coarse.mesh.faces), np.array(near_m) / camera.fx_px))
-        lines += _sampling_in_words(spec, longest_m(scenario, mesh) / ends_m[2] * camera.fx_px)
+        if images_of(spec, 1):
+            lines += _sampling_in_words(spec, longest_m(scenario, mesh) / ends_m[2] * camera.fx_px)
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     if spec.detector is not None and spec.detector.motion is not None and views:
@@ -264,21 +265,22 @@ def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, of_file: int, m_per
 
 
 def _sampling_in_words(spec: ScenarioSpec, size_px: float) -> list[str]:
-    """Say in a line how far samples move a small body in its image; empty if that is little.
+    """Say in a line how far samples move a small body in rendered images; empty if that is little.
 
     The number of points of a regular grid in a disc scatters with its place (Kendall 1948, Quarterly Journal of
     Mathematics 19, 1), and so does their middle: by 0.19 to 0.24 / sqrt(k^3 d) px in each coordinate, for k x k points
-    a pixel and a disc d pixels across (k 2 to 6, d 3 to 100, 200 places each).
+    a pixel and a disc d pixels across (k 2 to 6, d 3 to 100, 200 places each). Of a ball in Lommel and Seeliger's law
+    it is five times as much at a phase angle of 120 deg, a ninth in Lambert's law with the Sun behind the camera.
     """
-    least = (0.22 / _SAMPLING_PX / math.sqrt(size_px)) ** (2.0 / 3.0)
-    samples = spec.rendering.samples_per_pixel
-    if samples >= least**2:
+    least, samples = (0.22 / _SAMPLING_PX / math.sqrt(size_px)) ** (2.0 / 3.0), spec.rendering.samples_per_pixel
+    most = min(math.ceil(least), 8) ** 2
+    if samples >= most or size_px > min(spec.camera.width_px, spec.camera.height_px):
         return []
+    few = "1 sample in a pixel moves" if samples == 1 else f"{samples} samples in a pixel move"
     off_px = 0.22 / math.sqrt(samples**1.5 * size_px)
-    few = "1 sample" if samples == 1 else f"{samples} samples"
     return [
-        f"{few} a pixel move{'s' if samples == 1 else ''} the middle of a body of {size_px:.3g} px by {off_px:.2g} px"
-        f" (1 sigma), which no camera does: raise rendering.samples_per_pixel to {min(math.ceil(least), 8) ** 2}"
+        f"{few} the middle of an even disc of {size_px:.3g} px by {off_px:.2g} px (1 sigma), of a crescent more, which"
+        f" no camera does: raise rendering.samples_per_pixel to {most}"
     ]
 
 

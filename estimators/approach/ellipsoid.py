@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import TriangleMesh, View
+from boresight.scenarios.geometry.mesh import kept_with_mesh, sealed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +21,6 @@ class Ellipsoid:
     form: FloatArray
 
     @classmethod
-    @lru_cache(maxsize=1)  # for all methods, in all scenarios of a body
     def of(cls, mesh: TriangleMesh) -> Self:
         """Return the ellipsoid whose volume has the centre and the directions of the moments of a closed mesh.
 
@@ -38,7 +37,7 @@ class Ellipsoid:
         values, axes = np.linalg.eigh(second / (20.0 * total) - np.outer(centre, centre))
         semi = np.sqrt(5.0 * values)
         semi *= (total / (4.0 / 3.0 * np.pi * semi.prod())) ** (1.0 / 3.0)
-        return cls(centre, (axes / semi**2) @ axes.T)
+        return cls(sealed(centre), sealed((axes / semi**2) @ axes.T))
 
     @property
     def radius_m(self) -> float:
@@ -85,3 +84,7 @@ class Ellipsoid:
             return None
         found: FloatArray = np.linalg.solve(B, n) / np.sqrt(excess) - R_cam_body @ self.centre_m
         return found
+
+
+ellipsoid_of = kept_with_mesh(Ellipsoid.of)
+"""Return the ellipsoid of a mesh; of one that was seen before, without working it out again."""

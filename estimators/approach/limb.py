@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from boresight.estimators.approach.body import BODY_SHARE, LitBody, find_body, lit_area_px, row_ends, sphere_px
-from boresight.estimators.approach.ellipsoid import Ellipsoid
+from boresight.estimators.approach.ellipsoid import ellipsoid_of
 from boresight.estimators.approach.fusion import fuse, grouped_covariance
 from boresight.estimators.approach.limb_errors import bias_covariance, scatter_covariance
-from boresight.estimators.approach.outline import ShapeOutline, outline_normals, ray_directions
+from boresight.estimators.approach.outline import outline_normals, outline_of, ray_directions
 from boresight.estimators.approach.profile import (
     ACROSS_PX,
     DEPTHS_PX,
@@ -153,7 +153,7 @@ class LimbEstimator:
     options_model: ClassVar[type[SpecModel]] = LimbOptions
 
     def __init__(self, mesh: TriangleMesh, options: LimbOptions) -> None:
-        self._outline, self._ellipsoid, self._radius_m = ShapeOutline.of(mesh), Ellipsoid.of(mesh), mesh.radius_m
+        self._outline, self._ellipsoid, self._radius_m = outline_of(mesh), ellipsoid_of(mesh), mesh.radius_m
         self._area_vectors_m2, self._options = mesh.area_vectors_m2, options
 
     @classmethod

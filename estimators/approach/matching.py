@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import ClassVar, Self
 
 from boresight.estimators.approach.correlation import correlation_shift, correlation_weights
-from boresight.estimators.approach.ellipsoid import Ellipsoid
+from boresight.estimators.approach.ellipsoid import ellipsoid_of
 from boresight.estimators.approach.sight import SightEstimator, Sighting, SightOptions
 from boresight.estimators.contract import Assets
 from boresight.estimators.options import parse_options
@@ -86,6 +86,6 @@ class LambertCorrelation(SilhouetteEstimator):
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the axes of the onboard shape."""
         parsed, mesh = parse_options(SightOptions, options, cls.name), assets.shape()
-        ellipsoid = Ellipsoid.of(mesh)
+        ellipsoid = ellipsoid_of(mesh)
         how = replace(ALIGNMENT, misfit_m=ellipsoid.misfit_m(mesh), any_direction=False)
         return cls(ellipsoid, mesh, ellipsoid.radius_m, parsed, how)

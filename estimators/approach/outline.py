@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.compiled import compiler
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
+from boresight.scenarios.geometry.mesh import kept_with_mesh
 
 kernel, inner = compiler(Path(__file__).parent)
 
@@ -31,12 +30,6 @@ class ShapeOutline:
         self._edges = np.column_stack([ends[order[pairs]], order[pairs] // 3, order[pairs + 1] // 3])
         self._vertices_m, self._faces, self._corner = np.array(mesh.vertices_m), faces, faces[:, 0].copy()
         self._area_vectors_m2, self._normals = np.array(mesh.area_vectors_m2), mesh.normals
-
-    @classmethod
-    @lru_cache(maxsize=1)  # for all scenarios of a body
-    def of(cls, mesh: TriangleMesh) -> Self:
-        """Return the outline of a mesh, that of the last one without finding its edges again."""
-        return cls(mesh)
 
     def silhouette(self, T_cam_body: Pose) -> IndexArray:
         """Return the vertices (k, 2) of the edges between a facet that is seen from the front and another."""
@@ -71,6 +64,10 @@ class ShapeOutline:
         incident = np.where(facet < 0, 0.0, np.maximum(normals @ view.sun_dir_body, 0.0))
         emitted = -np.einsum("...i,...i->...", normals, camera.unproject(uv_px) @ pose.rotation)
         return np.stack([incident, incident / np.maximum(incident + emitted, 1e-9)], axis=-1)
+
+
+outline_of = kept_with_mesh(ShapeOutline)
+"""Return the outline of a mesh; of one that was seen before, without finding its edges again."""
 
 
 @kernel

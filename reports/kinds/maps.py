@@ -19,72 +19,77 @@ from boresight.reports.schema.grid import number
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.consistency import NEES, POSE_DEGREES, SIGHT_DEGREES, SIGHT_NEES
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Statistic, measure
-from boresight.scenarios.spec.camera import CameraSpec
 
-_MOST_PANELS = 4
 _MOST_METHODS = 6  # with two figures each
+_MOST_ACROSS = 20  # cells of all panels of a figure
 
 
 def level_maps(run: RunData, grid: ScenarioGrid) -> Iterator[NamedFigure]:
     """Draw median error and mean NEES of each estimator of poses over the last two axes of a grid.
 
-    Of more than six estimators there are none. There is a panel for each level of the axis before them if these are
-    few; other axes are pooled. Of a method that keeps the prior's attitude both are of the direction to the body, its
-    error in pixels.
+    Of more than six estimators there are none. There is a panel for each level of the axis before them if a page is
+    wide enough; other axes are pooled. Of a method that keeps the prior's attitude both are of the direction to the
+    body, its error in pixels.
     """
-    estimators = [label for label in run.manifest.estimators if label != CONTROL]
+    posed = {estimator for _, estimator in run.posed_pairs()} - {CONTROL}
+    estimators = sorted(posed, key=run.place_of)
     if len(estimators) > _MOST_METHODS:
         return
-    rows, numbers = run.rows, trial_numbers(run)
-    *others, down, across = grid.axes
-    apart = others[-1] if others and len(others[-1].levels) <= _MOST_PANELS else None
-    pooled = [axis.label for axis in others if axis is not apart]
-    over = f" Pooled over {', '.join(pooled)}." if pooled else ""
-    levels = pd.DataFrame.from_dict({one.name: one.levels for one in grid.scenarios}, orient="index")
-    placed = rows[["scenario", "estimator"]].join(levels, on="scenario").assign(cluster=clusters_of(run, rows))
-    ok = rows["status"] == "ok"
-    keeping = keeping_attitude(rows[rows["estimator"] != CONTROL])
+    rows, numbers, none = run.rows, trial_numbers(run), pd.Series(np.nan, index=run.rows.index)
+    # Axes by their places: a name may be that of a column.
+    down, across = len(grid.axes) - 2, len(grid.axes) - 1
+    levels = {one.name: [one.levels[axis.name] for axis in grid.axes] for one in grid.scenarios}
+    placed = rows[["scenario", "estimator"]].assign(cluster=clusters_of(run, rows))
+    placed = placed.join(pd.DataFrame.from_dict(levels, orient="index"), on="scenario")
+    panels = 1 if down == 0 else len(grid.axes[down - 1].levels)
+    apart = down - 1 if down > 0 and panels * len(shown_levels(grid.axes[across])) <= _MOST_ACROSS else None
+    pooled = [axis.label for place, axis in enumerate(grid.axes[:down]) if place != apart]
+    notes = f" Pooled over {', '.join(pooled)}." if pooled else ""
+    for axis in grid.axes[down:]:
+        if len(shown := shown_levels(axis)) < len(axis.levels):
+            notes += f" {len(shown)} of {len(axis.levels)} levels of {axis.label}."
+    keeping, pixel_m = keeping_attitude(rows[rows["estimator"] != CONTROL]), _pixel_m(run)
     for estimator in estimators:
-        if estimator in keeping:
-            error, what = numbers[SIGHT] / _pixel_m(run), "error of the line of sight, px"
+        if estimator in keeping and pixel_m is not None:
+            error, what = numbers.get(SIGHT, none) / pixel_m, "error of the line of sight, px"
             nees, of_nees = rows[SIGHT_NEES] / SIGHT_DEGREES, f"NEES of the direction over {SIGHT_DEGREES}"
         else:
-            error, what = numbers[POSE_COLUMNS[0]], "position error, m"
+            error, what = numbers.get(POSE_COLUMNS[0], none), "position error, m"
             nees, of_nees = rows[NEES] / POSE_DEGREES, f"NEES over {POSE_DEGREES}"
         drawn = (("error", f"median {what}", error, MEDIAN), ("nees", f"mean {of_nees}", nees, MEAN))
         for kind, told, values, statistic in drawn:
-            own = placed.assign(value=values.where(ok))[placed["estimator"] == estimator]
-            title = f"{estimator}: {told}"
-            maps = [
-                _heat_map(title_of, part, down, across, statistic)
-                for title_of, part in ([("", own)] if apart is None else _parts(own, apart))
-            ]
+            own = placed.assign(value=values.where(rows["status"] == "ok"))[placed["estimator"] == estimator]
+            if own["value"].isna().all():
+                continue
+            title, axes = f"{estimator}: {told}", (grid.axes[down], grid.axes[across])
+            parts = [("", own)]
+            if apart is not None:
+                label = grid.axes[apart].label
+                parts = [(f"{label}: {level}", own[own[apart] == level]) for level in grid.axes[apart].levels]
+            maps = [_heat_map(name, part, axes, (down, across), statistic) for name, part in parts]
+            over = f"over {axes[0].label} and {axes[1].label}"
             yield NamedFigure(
                 file_stem(f"map_{kind}_{estimator}"),
-                draw_heat_maps(maps, down.label, across.label, title),
-                f"{title}, over {down.label} and {across.label}, with its 95 % interval, and the trials that have it,"
-                f" of all.{over}",
-                f"Heat maps of {told} over {down.label} and {across.label}.",
+                draw_heat_maps(maps, axes[0].label, axes[1].label, title),
+                f"{title}, {over}, with its 95 % interval, and the trials that have it, of all.{notes}",
+                f"Heat maps of {told} {over}.",
             )
 
 
-def _pixel_m(run: RunData) -> pd.Series:
-    """Return what a pixel is at the range of the body in each row, m."""
-    angles = {
-        name: CameraSpec.model_validate(scenario["camera"]).camera().pixel_angle_rad
-        for name, scenario in run.manifest.scenarios.items()
-    }
+def _pixel_m(run: RunData) -> pd.Series | None:
+    """Return what a pixel is at the range of the body in each row, m; None where scenarios cannot be read."""
+    if run.specs is None:
+        return None
+    angles = {name: spec.camera.camera().pixel_angle_rad for name, spec in run.specs.items()}
     return run.rows["range_m"] * run.rows["scenario"].map(angles)
 
 
-def _parts(own: pd.DataFrame, apart: GridAxis) -> list[tuple[str, pd.DataFrame]]:
-    return [(f"{apart.label}: {level}", own[own[apart.name] == level]) for level in apart.levels]
-
-
-def _heat_map(title: str, own: pd.DataFrame, down: GridAxis, across: GridAxis, statistic: Statistic) -> HeatMap:
-    rows, columns = shown_levels(down), shown_levels(across)
+def _heat_map(
+    title: str, own: pd.DataFrame, axes: tuple[GridAxis, GridAxis], places: tuple[int, int], statistic: Statistic
+) -> HeatMap:
+    rows, columns = map(shown_levels, axes)
     values, texts = np.full((len(rows), len(columns)), np.nan), [["" for _ in columns] for _ in rows]
-    cells = dict(list(own.groupby([down.name, across.name], sort=False)))
+    cells = dict(list(own.groupby(list(places), sort=False)))
     for (i, row), (j, column) in ((a, b) for a in enumerate(rows) for b in enumerate(columns)):
         cell = cells.get((row, column), own.iloc[:0])
         known = cell[cell["value"].notna()]

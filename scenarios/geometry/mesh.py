@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ IndexArray = NDArray[np.int32]
 
 
 _T = TypeVar("_T", bound=np.generic)
+_Made = TypeVar("_Made")
 _ROWS_AT_ONCE = 1 << 19
 
 
@@ -166,3 +168,19 @@ def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
         return solid_angles(corners, np.linalg.norm(corners, axis=2))
 
     return float(by_block(angles, np.empty(len(mesh.faces))).sum() / (4.0 * np.pi))
+
+
+def kept_with_mesh(make: Callable[[TriangleMesh], _Made]) -> Callable[[TriangleMesh], _Made]:
+    """Keep what is made of a mesh for as long as the mesh lives: methods and scenarios of one body share it.
+
+    What is made must not hold the mesh itself, and nobody may change it.
+    """
+    made: WeakKeyDictionary[TriangleMesh, _Made] = WeakKeyDictionary()
+
+    def of(mesh: TriangleMesh) -> _Made:
+        found = made.get(mesh)
+        if found is None:
+            found = made[mesh] = make(mesh)
+        return found
+
+    return of

@@ -145,17 +145,19 @@ def test_samples_move_a_small_body_as_far_as_is_told():
     size_m = float(np.ptp(load_body(load_scenario("quickstart", (BALL,)).spec.body).mesh.vertices_m, axis=0).max())
     camera, far = "camera={width_px: 64, height_px: 64, focal_px: [100, 100]}", f"viewpoint.range_m={10.0 * size_m}"
     scene = (BALL, camera, far)
-    (line,) = (one for one in preview(load_scenario("quickstart", scene)) if "samples a pixel" in one)
+    (line,) = (one for one in preview(load_scenario("quickstart", scene)) if "samples in a pixel" in one)
     rng, at = np.random.default_rng(3), (np.arange(32) + 0.5) / 2.0
     errors = []
     for centre in 8.0 + rng.random((400, 2)):
         inside = np.hypot(at[:, None] - centre[0], at - centre[1]) <= 5.0
         errors += [inside.sum(axis=1 - axis) @ at / inside.sum() - centre[axis] for axis in range(2)]
-    told = re.search(r"^4 samples .* a body of 10 px by (\S+) px .*rendering.samples_per_pixel to (\d+)$", line)
+    told = re.search(r"^4 samples .* disc of 10 px by (\S+) px .*rendering.samples_per_pixel to (\d+)$", line)
     assert float(told[1]) == pytest.approx(np.std(errors), rel=0.15)
     assert int(told[2]) == 16
     finer = preview(load_scenario("quickstart", (*scene, "rendering.samples_per_pixel=16")))
-    assert not [one for one in finer if "samples a pixel" in one]
+    assert not [one for one in finer if "samples in a pixel" in one]
+    far = (BALL, camera, "viewpoint.range_m=1e6", "rendering.samples_per_pixel=64")
+    assert not [one for one in preview(load_scenario("quickstart", far)) if "samples in a pixel" in one]
 
 
 def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():

@@ -3,6 +3,7 @@
 import itertools
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,8 @@ from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
 from boresight.reports.pages.build import html_page
 from boresight.reports.pages.content import content_of, read_content
 from boresight.reports.run.data import GridAxis
+from boresight.reports.schema.column import POSE_COLUMNS
+from boresight.scenarios.load import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -72,27 +75,34 @@ def cells_of(figure):
 
 def test_maps_have_the_medians_and_trials_of_the_last_two_axes(tmp_path):
     run = read_content(store_wide(tmp_path / "run", methods=METHODS[:2])).run
-    error, nees, last, _ = level_maps(run, run.manifest.grid)
-    assert (error.stem, nees.stem) == ("map_error_method-0", "map_nees_method-0")
+    error, last = level_maps(run, run.manifest.grid)  # no covariance was stated
+    assert (error.stem, last.stem) == ("map_error_method-0", "map_error_method-1")
     (cells,) = cells_of(error.figure)
     assert len(cells) == len(RANGES) * len(PHASES)
     median = np.median([size_m(2, 3, 0, trial) for trial in range(TRIALS)])
     assert cells[3, 2].startswith(f"{median:.0f}\n[")
     assert cells[3, 2].endswith(f"\n{TRIALS}/{TRIALS}")
     assert cells_of(last.figure)[0][5, 4] == f"-\n0/{TRIALS}"
-    assert cells_of(nees.figure)[0][0, 0] == f"-\n0/{TRIALS}", "no covariance was stated"
+
+
+def test_a_grid_without_an_estimate_has_no_map(tmp_path):
+    run = read_content(store_wide(tmp_path / "run", RANGES[:2], PHASES[:2], METHODS[:1], 2)).run
+    failed = replace(run, rows=run.rows.assign(status="failed", **dict.fromkeys(POSE_COLUMNS, np.nan)))
+    assert list(level_maps(failed, run.manifest.grid)) == []
 
 
 def test_maps_of_the_line_of_sight_are_in_pixels_and_apart_by_the_axis_before(tmp_path):
     """Of two bodies, which are pooled, at two ranges: an error of so many pixels is as many times farther out."""
     builder, scenarios, specs, focal_px = RunBuilder(tmp_path / "run"), [], {}, 500.0
+    camera = f"camera={{width_px: 64, height_px: 64, focal_px: [{focal_px}, {focal_px}]}}"
+    spec = load_scenario("quickstart", (camera,)).spec.model_dump(mode="json")
     prior = {f"prior_{key}": value for key, value in pose_error(np.array([50.0, 0.0, 0.0]), 1.0).items()}
-    axes = {"body": ("a", "b"), "known": ("well", "badly"), "size": ("10", "30"), "phase": ("low", "high")}
+    axes = {"body": ("a", "b"), "scenario": ("well", "badly"), "value": ("10", "30"), "phase": ("low", "high")}
     for body, known, size, phase in itertools.product(*axes.values()):
         name, range_m = f"rock-{body}-{known}-{size}-{phase}", 30_000.0 / float(size)
         levels = dict(zip(axes, (body, known, size, phase), strict=True))
         scenarios.append({"name": name, "base": "rock", "levels": levels})
-        specs[name] = {"camera": {"width_px": 64, "height_px": 64, "focal_px": [focal_px, focal_px]}}
+        specs[name] = spec
         for trial in range(TRIALS):
             off_px = 0.1 * (1 + trial) * (3.0 if known == "badly" else 1.0)
             seen = {"tx_m": off_px * range_m / focal_px, "ty_m": 0.0, "tz_m": range_m}
