@@ -123,8 +123,8 @@ class ConsensusRecognizer:
     fails too if the log evidence for landmarks among the corners, over clutter alone, is below ``log_evidence_min``:
     such a pose would be chance, and its covariance wrong. So it needs an onboard model close to the truth: of
     500 images of ``compare-mismatched``, with a shape that was made from four times the distance, it answers in one at
-    most, and with exact knowledge in 294 of 300 (mean NEES 5.2). In 180 images of three built-in bodies of which all
-    relief above 3 pixels is known it answers in 171 with ``log_evidence_min: 0`` (mean NEES 7.0 to 8.0; with exact
+    most, and with exact knowledge in 294 of 300 (mean NEES 5.2). With ``log_evidence_min: 0`` it answers in 171 of 180
+    images of three built-in bodies of which all relief above 3 pixels is known (mean NEES 7.0 to 8.0; with exact
     knowledge 4.7 to 6.1 of 179).
 
     Cost
