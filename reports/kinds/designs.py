@@ -25,11 +25,11 @@ from boresight.reports.kinds.design_data import (
     Outcome,
     outcomes,
 )
-from boresight.reports.kinds.maps import level_maps
+from boresight.reports.kinds.maps import cell_text, level_maps
 from boresight.reports.kinds.pooled import extreme_grid, is_wide, level_grids
 from boresight.reports.run.data import GridAxis, RunData
 from boresight.reports.run.outcomes import MEANING
-from boresight.reports.schema.grid import NO_VALUE, Grid, number
+from boresight.reports.schema.grid import NO_VALUE, Grid
 from boresight.reports.schema.records import CONTROL, SEQUENCE, as_title, stage_label
 from boresight.reports.schema.tables import kind_schema, measure_label, measure_of, unit_of
 from boresight.reports.statistics.measured import Measured
@@ -237,8 +237,7 @@ def _matrix(data: DesignData, base: str, names: list[str], own: list[Outcome]) -
                 name = by_levels.get((row, column))
                 median = data.median(name, outcome) if name else Measured(None)
                 values[i, j] = median.bar[0]
-                interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
-                texts[i][j] = f"{number(median.value)}{interval}\n{data.ok([name], outcome) if name else ''}"
+                texts[i][j] = cell_text(median, data.ok([name], outcome) if name else "")
         matrices.append(HeatMap(outcome.label, down.levels, across.levels, values, texts))
     yield NamedFigure(
         file_stem(f"matrix_{base}_{estimator}"),

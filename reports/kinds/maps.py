@@ -18,7 +18,7 @@ from boresight.reports.schema.column import POSE_COLUMNS, SIGHT
 from boresight.reports.schema.grid import number
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.consistency import NEES, POSE_DEGREES, SIGHT_DEGREES, SIGHT_NEES
-from boresight.reports.statistics.measured import MEAN, MEDIAN, Statistic, measure
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, Statistic, measure
 
 _MOST_METHODS = 6  # with two figures each
 _MOST_ACROSS = 20  # cells of all panels of a figure
@@ -76,6 +76,12 @@ def level_maps(run: RunData, grid: ScenarioGrid) -> Iterator[NamedFigure]:
             )
 
 
+def cell_text(found: Measured, trials: str) -> str:
+    """Write a statistic, its interval if it has one, and the trials behind it, for a cell of a heat map."""
+    ends = "" if found.low is None or found.high is None else f"\n[{number(found.low)}, {number(found.high)}]"
+    return f"{number(found.value)}{ends}\n{trials}"
+
+
 def _pixel_m(run: RunData) -> pd.Series | None:
     """Return what a pixel is at the range of the body in each row, m; None where scenarios cannot be read."""
     if run.specs is None:
@@ -95,6 +101,5 @@ def _heat_map(
         known = cell[cell["value"].notna()]
         (found,) = measure(known["value"].to_numpy(np.float64), known["cluster"].to_numpy(), (statistic,))
         values[i, j] = found.bar[0]
-        ends = "" if found.low is None or found.high is None else f"\n[{number(found.low)}, {number(found.high)}]"
-        texts[i][j] = f"{number(found.value)}{ends}\n{len(known)}/{len(cell)}" if len(cell) else ""
+        texts[i][j] = cell_text(found, f"{len(known)}/{len(cell)}") if len(cell) else ""
     return HeatMap(title, rows, columns, values, texts)
