@@ -26,6 +26,7 @@ from boresight.reports.figures.style import (
     new_figure,
     styled,
     window_around,
+    windowed,
 )
 from boresight.reports.schema.grid import shortest
 from boresight.scenarios.arrays import FloatArray
@@ -204,7 +205,8 @@ def draw_pose_renderings(
 ) -> Figure:
     """Draw the outline of the body at each pose over the image, and below it the image less the rendering.
 
-    All residuals share one colour scale. Those within the rounding of the image's float32 are 0.
+    All residuals share one colour scale, that of the part that is shown. Those within the rounding of the image's
+    float32 are 0.
     """
     window = _body_window(image, renderings)
     (left, right), (top, bottom) = window
@@ -214,7 +216,8 @@ def draw_pose_renderings(
     figure, panels = grid_figure(2, len(renderings), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
     rounding = float(np.finfo(np.float32).eps * np.abs(image).max(initial=0.0))
     residuals = [np.where(np.abs(one.residual) > rounding, one.residual, 0.0) for one in renderings]
-    limit = max((float(np.percentile(np.abs(one), _SPREAD_PERCENT)) for one in residuals), default=0.0) or 1.0
+    shown_px = [np.abs(windowed(one, window)) for one in residuals]
+    limit = max((float(np.percentile(one, _SPREAD_PERCENT)) for one in shown_px), default=0.0) or 1.0
     for k, (one, residual) in enumerate(zip(renderings, residuals, strict=True)):
         over, below = panels[0, k], panels[1, k]
         image_panel(over, image, window=window)

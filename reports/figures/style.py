@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib.style
 import numpy as np
@@ -28,6 +29,7 @@ from boresight.reports.statistics.intervals import has_quantile
 from boresight.scenarios.arrays import FloatArray
 
 Parameters = ParamSpec("Parameters")
+T = TypeVar("T", bound=np.generic)
 
 # Okabe and Ito's palette, for colour-blind readers, and two colours more. These are at least as far from the others, in
 # CIELAB and for protanopia and deuteranopia too, as the others are from each other. Line styles differ for grey print.
@@ -182,10 +184,14 @@ def save_figure(figure: Figure, stem: Path, kinds: Sequence[str] = ("png", "pdf"
     return paths
 
 
-def show_image(axes: Axes, image: NDArray[np.floating[Any]]) -> None:
-    """Show an image so that the centre of its first pixel is at (0.5, 0.5), stretched to its 99.8th percentile."""
+def show_image(axes: Axes, image: NDArray[np.floating[Any]], window: Window | None = None) -> None:
+    """Show an image so that the centre of its first pixel is at (0.5, 0.5), stretched to its 99.8th percentile.
+
+    With a window, the percentile is that of its pixels.
+    """
     height, width = image.shape
-    top = float(np.percentile(image, 99.8)) or float(image.max()) or 1.0
+    seen = image if window is None else windowed(image, window)
+    top = float(np.percentile(seen, 99.8)) or float(seen.max()) or 1.0
     axes.imshow(image, cmap="gray", vmin=0.0, vmax=top, extent=(0, width, height, 0), interpolation="nearest")
     axes.grid(visible=False)
 
@@ -198,12 +204,20 @@ def hide_axes(axes: Axes) -> None:
 
 def image_panel(axes: Axes, image: NDArray[np.floating[Any]], title: str = "", window: Window | None = None) -> None:
     """Show an image without axes, or the window (left, right), (top, bottom) of it."""
-    show_image(axes, image)
+    show_image(axes, image, window)
     height, width = image.shape
     (left, right), (top, bottom) = window or ((0, width), (0, height))
     axes.set(xlim=(left, right), ylim=(bottom, top))
     hide_axes(axes)
     axes.set_title(title)
+
+
+def windowed(image: NDArray[T], window: Window) -> NDArray[T]:
+    """Return the pixels of an image (H, W) that a window shows, whole or in part; at least one."""
+    (left, right), (top, bottom) = window
+    height, width = image.shape
+    row, column = min(max(int(top), 0), height - 1), min(max(int(left), 0), width - 1)
+    return image[row : max(math.ceil(bottom), row + 1), column : max(math.ceil(right), column + 1)]
 
 
 def window_around(

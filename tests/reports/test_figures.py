@@ -310,6 +310,18 @@ def test_a_residual_of_rounding_errors_is_none():
     assert titles == [f"image less rendering: RMS {rms} on the body" for rms in ("0", "0.01")]
 
 
+def test_images_of_a_small_body_are_stretched_to_what_is_shown():
+    rng = np.random.default_rng(1)
+    image, body = rng.standard_normal((200, 200)), np.zeros((200, 200), dtype=bool)
+    body[90:94, 100:104] = True
+    image[body] = 300.0
+    residual = np.where(body, 40.0, rng.standard_normal(body.shape))
+    figure = draw_pose_renderings(image, [PoseRendering("truth", "truth", body, residual)], "T")
+    above, below = (axes.images[0] for axes in figure.axes[:2])
+    assert above.get_clim() == (0.0, 300.0)
+    assert below.get_clim() == (-40.0, 40.0)
+
+
 def test_methods_keep_their_colours_and_axes_in_all_rows():
     groups = {"A": {"a": _errors(40), "b": _errors(20)}, "B": {"b": _errors(20), "a": _errors(40)}}
     figure = draw_method_errors(groups, "T")
