@@ -26,6 +26,8 @@ from boresight.reports.schema.tables import measure_label, measures
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from boresight.scenarios.known import correlated
 
+_MOST_FAILURES = 40  # lines of a page
+
 
 def interval(measured: Measured, scale: float = 1.0) -> str:
     """Print a value with its 95 % interval, in units of 1 / ``scale``."""
@@ -168,9 +170,18 @@ def timing_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def failure_grid(run: RunData) -> Grid | None:
-    """Tabulate failures by reason; None if every trial is ok."""
+    """Tabulate failures by reason, if there are many over all scenarios; None if every trial is ok."""
     failed, merged = unsolved(run)
-    note = "n stands for numbers that differ from trial to trial." if merged else ""
+    notes = ["n stands for numbers that differ from trial to trial."] if merged else []
     keys = ["scenario", "estimator", "status", "reason"]
-    rows = tuple(tally(failed, keys))
-    return Grid("Failures by reason", (*keys, "trials"), rows, frozenset({0, 1, 2, 3}), note) if rows else None
+    rows = tally(failed, keys)
+    if len(rows) <= _MOST_FAILURES:
+        columns = (*keys, "trials")
+    else:
+        notes.append("Those of each scenario are in failures.csv, beside this page.")
+        keys = keys[1:]
+        columns = (*keys, "scenarios", "trials")
+        scenarios = failed.groupby(keys)["scenario"].nunique()
+        rows = [(*one, str(scenarios[one]), trials) for *key, trials in tally(failed, keys) if (one := tuple(key))]
+    left = frozenset(range(len(keys)))
+    return Grid("Failures by reason", columns, tuple(rows), left, " ".join(notes)) if rows else None

@@ -20,6 +20,8 @@ from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.consistency import NEES, POSE_DEGREES, SIGHT_DEGREES, SIGHT_NEES
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, Statistic, measure
 
+ERROR_MAP = "map_error"
+"""Stem with which the files of maps of errors begin."""
 _MOST_METHODS = 6  # with two figures each
 _MOST_ACROSS = 20  # cells of all panels of a figure
 
@@ -56,8 +58,8 @@ def level_maps(run: RunData, grid: ScenarioGrid) -> Iterator[NamedFigure]:
         else:
             error, what = numbers.get(POSE_COLUMNS[0], none), "position error, m"
             nees, of_nees = rows[NEES] / POSE_DEGREES, f"NEES over {POSE_DEGREES}"
-        drawn = (("error", f"median {what}", error, MEDIAN), ("nees", f"mean {of_nees}", nees, MEAN))
-        for kind, told, values, statistic in drawn:
+        drawn = ((ERROR_MAP, f"median {what}", error, MEDIAN), ("map_nees", f"mean {of_nees}", nees, MEAN))
+        for stem, told, values, statistic in drawn:
             own = placed.assign(value=values.where(rows["status"] == "ok"))[placed["estimator"] == estimator]
             if own["value"].isna().all():
                 continue
@@ -69,7 +71,7 @@ def level_maps(run: RunData, grid: ScenarioGrid) -> Iterator[NamedFigure]:
             maps = [_heat_map(name, part, axes, (down, across), statistic) for name, part in parts]
             over = f"over {axes[0].label} and {axes[1].label}"
             yield NamedFigure(
-                file_stem(f"map_{kind}_{estimator}"),
+                file_stem(f"{stem}_{estimator}"),
                 draw_heat_maps(maps, axes[0].label, axes[1].label, title),
                 f"{title}, {over}, with its 95 % interval, and the trials that have it, of all.{notes}",
                 f"Heat maps of {told} {over}.",

@@ -19,6 +19,7 @@ from markupsafe import Markup
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, report_figures, report_grids, told_grids
+from boresight.reports.kinds.maps import ERROR_MAP
 from boresight.reports.kinds.ranges import OVER_RANGE
 from boresight.reports.kinds.requirements import judged
 from boresight.reports.kinds.tornado import TORNADO
@@ -104,10 +105,14 @@ def _resolved(scenarios: Mapping[str, object]) -> str:
 
 
 def _leads(figures: Sequence[NamedFigure]) -> list[NamedFigure]:
-    """Choose the figures after the first table: tornados, the first of errors over range, `LEAD`; else the first."""
+    """Choose the figures after the first table; else the first of all.
+
+    They are tornados, maps of errors, the first of errors over range, and `LEAD`.
+    """
     moved = [one for one in figures if one.stem.startswith(TORNADO)][:_MOST_TORNADOS]
     over_range = [one for one in figures if one.stem.startswith(OVER_RANGE)][:1]
-    return [*moved, *over_range, *(one for one in figures if one.stem == LEAD)] or list(figures[:1])
+    maps = [one for one in figures if one.stem.startswith(ERROR_MAP)]
+    return [*moved, *maps, *over_range, *(one for one in figures if one.stem == LEAD)] or list(figures[:1])
 
 
 def _card(content: Content) -> Iterator[tuple[str, str]]:

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 from stored_runs import RunBuilder
 from terminal_text import printed_lines, terminal_lines
@@ -100,6 +101,17 @@ def test_reasons_that_differ_in_numbers_alone_are_counted_together(builder):
     grid = failure_grid(read_content(builder.write()).run)
     assert {row[3]: row[4] for row in grid.rows} == {"n of n lost": "2", "no 1st corner": "2", "5 craters": "1"}
     assert "n stands for numbers" in grid.note
+
+
+def test_many_failures_are_counted_over_all_scenarios(builder):
+    for trial in range(2):
+        builder.trial(trial, ([3, 4, 0], 1), None, reason="black image")
+    run = read_content(builder.write()).run
+    rows = pd.concat([run.rows.assign(scenario=f"rock-{k}") for k in range(41)])
+    grid = failure_grid(replace(run, rows=rows))
+    assert grid.columns == ("estimator", "status", "reason", "scenarios", "trials")
+    assert [row[2:] for row in grid.rows] == [("black image", "41", "82")]
+    assert "failures.csv" in grid.note
 
 
 def test_references_stand_below_the_truth_by_its_name(builder):
