@@ -25,9 +25,10 @@ LEAST_TRIALS = 10
 _NOTE = (
     "Missed: trials beyond the limit, or without the number; no estimate: those of them without an estimate. Reached:"
     " the limit that would just pass. Risk: the consumer's risk, the probability of a result at least as good where the"
-    " requirement is just not met. Further: trials without another miss that would pass it. Each verdict has its own"
-    " risk. Trials that share a real image, or sequences that share a set of images, count as one, which passes by its"
-    " worst and fails by its best. With several data bases a verdict is of these."
+    " requirement is just not met. Further: trials without another miss that would pass it; at this rate: trials that"
+    " would decide it if they miss as often as those so far. Each verdict has its own risk. Trials that share a real"
+    " image, or sequences that share a set of images, count as one, which passes by its worst and fails by its best."
+    " With several data bases a verdict is of these."
 )
 _LOOKED = (
     " This run was looked at and went on, or is not finished: verdicts are of a test that holds at every look, and"
@@ -126,7 +127,8 @@ def requirement_grid(run: RunData) -> Grid | None:
             "no estimate": str(one.unsolved),
             "reached": _reached(one.verdict.reached, measure_of(one.requirement.measure).unit or ""),
             "risk": chance(one.verdict.risk),
-            "further": NO_VALUE if one.verdict.further is None else f"{one.verdict.further:,}",
+            "further": _trials(one.verdict.further),
+            "at this rate": _trials(one.verdict.at_this_rate),
         }
         for one in found
     ]
@@ -135,6 +137,10 @@ def requirement_grid(run: RunData) -> Grid | None:
     if any(one.verdict.n < least for one in found if is_moved(one.requirement)):
         note += f" What moves a requirement is shown from {least} trials of a scenario on."
     return row_grid("Requirements", rows, ("requirement", "scenario", "estimator", "verdict"), note) if rows else None
+
+
+def _trials(more: int | None) -> str:
+    return NO_VALUE if more is None else f"{more:,}"
 
 
 def _reached(limit: float | None, unit: str) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,7 +118,8 @@ class Verdict:
     ``reached`` is the limit that would just pass, so that the margin is from there to the requirement's limit. It is
     infinite if none would: too few trials, or too many failures; None of a yes or no. ``risk`` is the consumer's: the
     probability of trials that speak as much for the requirement where it is just not met. ``further`` trials without a
-    miss would pass it: 0 if it has passed, None if it has failed, or more than ten million would be needed.
+    miss would pass it: 0 if it has passed, None if it has failed, or more than ten million would be needed. So many
+    trials more, ``at_this_rate``, would decide it if as many of them miss as so far; 0 where it is decided.
     """
 
     verdict: str
@@ -126,6 +128,7 @@ class Verdict:
     reached: float | None
     risk: float
     further: int | None
+    at_this_rate: int | None
 
 
 def judge(
@@ -152,8 +155,12 @@ def judge(
     ):
         verdict = UNDECIDED
     reached = None if requirement.limit is None else _reached(requirement, values, looked, turns)
-    further = {PASS: 0, FAIL: None}.get(verdict, _further(requirement, missed, looked=looked))
-    return Verdict(verdict, len(values), int(missed.sum()), reached, risk, further)
+    n, m = len(values), int(missed.sum())
+    if verdict != UNDECIDED:
+        return Verdict(verdict, n, m, reached, risk, 0 if verdict == PASS else None, 0)
+    further = _first(lambda more: _sides(requirement, m, n + more, looked=looked)[0])
+    at_this_rate = _first(lambda more: any(_sides(requirement, round(m / n * (n + more)), n + more, looked=looked)))
+    return Verdict(verdict, n, m, reached, risk, further, at_this_rate)
 
 
 def _tested(requirement: Requirement, missed: BoolArray, looked: bool, turns: int) -> tuple[str, float]:
@@ -161,9 +168,9 @@ def _tested(requirement: Requirement, missed: BoolArray, looked: bool, turns: in
     if looked:
         found = Evidence.of(missed, requirement.share, turns)
         return found.verdict(requirement.risk)[0], min(1.0, 1.0 / float(found.passes.max(initial=1.0)))
-    n, m, allowed = len(missed), int(missed.sum()), 1.0 - requirement.share
-    few, many = float(bdtr(m, n, allowed)), float(bdtrc(m - 1, n, allowed)) if m else 1.0
-    return PASS if few <= requirement.risk else FAIL if many <= requirement.risk else UNDECIDED, few
+    n, m = len(missed), int(missed.sum())
+    passes, fails = _sides(requirement, m, n, looked=False)
+    return PASS if passes else FAIL if fails else UNDECIDED, float(bdtr(m, n, 1.0 - requirement.share))
 
 
 def upper_limit(values: FloatArray, share: float, confidence: float) -> float:
@@ -191,16 +198,19 @@ def _reached(requirement: Requirement, values: FloatArray, looked: bool, turns: 
     return float(ordered[number]) if number < len(ordered) else np.inf
 
 
-def _further(requirement: Requirement, missed: BoolArray, *, looked: bool) -> int | None:
-    """Return how many more trials without a miss would pass it."""
-    n, m, allowed = len(missed), int(missed.sum()), 1.0 - requirement.share
+def _sides(requirement: Requirement, m: int, n: int, *, looked: bool) -> tuple[bool, bool]:
+    """Tell whether m misses in n trials pass it, and whether they fail it; of a run that is looked at, at one look."""
+    allowed = 1.0 - requirement.share
+    if looked:
+        passes, fails = (float(one) >= -np.log(requirement.risk) for one in _log_evidence(m, n, allowed))
+        return passes, fails
+    many = float(bdtrc(m - 1, n, allowed)) if m else 1.0
+    return float(bdtr(m, n, allowed)) <= requirement.risk, many <= requirement.risk
 
-    def passes(more: int) -> bool:
-        if looked:
-            return bool(_log_evidence(m, n + more, allowed)[0] >= -np.log(requirement.risk))
-        return bool(bdtr(m, n + more, allowed) <= requirement.risk)
 
-    more = bisect_left(range(_MOST_TRIALS), 1, key=lambda trials: int(passes(trials)))
+def _first(decided: Callable[[int], bool]) -> int | None:
+    """Return the number of further trials from which on it is decided; None of more than `_MOST_TRIALS`."""
+    more = bisect_left(range(_MOST_TRIALS), 1, key=lambda trials: int(decided(trials)))
     return more if more < _MOST_TRIALS else None
 
 

@@ -57,6 +57,23 @@ def test_the_risks_are_those_of_scipys_binomial_test(n, missed):
     assert (found.n, found.missed, found.reached) == (n, missed, None)
 
 
+@pytest.mark.parametrize(("n", "missed", "side"), [(500, 28, "greater"), (400, 24, "greater"), (100, 3, "less")])
+def test_the_trials_at_this_rate_are_the_first_that_scipys_test_decides(n, missed, side):
+    asked = parse_requirement("success in 95 % at 90 %")
+    found = judge(asked, np.where(np.arange(n) < missed, 1.0, 0.0))
+    assert found.verdict == UNDECIDED
+
+    def risk(trials):
+        return binomtest(round(missed / n * trials), trials, 0.05, alternative=side).pvalue
+
+    assert risk(n + found.at_this_rate) <= 0.1 < risk(n + found.at_this_rate - 1)
+
+
+def test_at_the_allowed_rate_no_number_of_trials_decides():
+    found = judge(parse_requirement("success in 95 % at 90 %"), np.where(np.arange(100) < 5, 1.0, 0.0))
+    assert (found.verdict, found.further, found.at_this_rate) == (UNDECIDED, 84, None)
+
+
 @pytest.mark.parametrize("looked", [False, True])
 def test_what_is_reached_is_the_least_limit_that_passes(looked):
     values = np.random.default_rng(4).exponential(10.0, 300)
@@ -78,7 +95,7 @@ def test_the_limit_holds_as_often_as_it_says():
 
 def test_more_failures_than_the_share_allows_reach_nothing():
     found = judge(parse_requirement("nees < 1e9 in 90 % at 90 %"), with_misses(100, 40))
-    assert (found.verdict, found.reached, found.further) == (FAIL, np.inf, None)
+    assert (found.verdict, found.reached, found.further, found.at_this_rate) == (FAIL, np.inf, None, 0)
 
 
 def test_evidence_is_the_averaged_likelihood_over_that_at_the_boundary():
@@ -204,6 +221,7 @@ def test_a_run_that_was_looked_at_needs_more_trials(full_run):
     fixed, looked = (next(judged(read_run(full_run(requirements=that, looked=one)))).verdict for one in (False, True))
     assert (fixed.verdict, looked.verdict) == (PASS, UNDECIDED)
     assert looked.further > 0
+    assert looked.at_this_rate > looked.further, "some trials missed"
 
 
 def test_the_condition_that_moves_an_error_comes_first(full_run):
