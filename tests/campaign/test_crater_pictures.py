@@ -43,6 +43,7 @@ def test_boxes_circles_and_ellipses_are_read(text, columns, expected, tmp_path):
     [
         ("", "line 1: columns none"),
         ("1,2,6\n", "line 1: columns 1, 2, 6 are no boxes"),
+        ("x,X,y,radius\n1,2,3,4\n", "line 1: two columns are x: leave one out"),
         ("x,y,radius\n", "no craters"),
         ("x,y,radius\n\n1,2,three\n", "line 3: .* not all numbers"),
         ("x,y,radius\n1,2\n", "line 2: .* not all numbers"),

@@ -18,6 +18,7 @@ from spc_folders import write_spc
 from track_tables import make_world
 
 from boresight.campaign.cli.bench import read_ratios
+from boresight.campaign.data.crater_pictures import read_labels
 from boresight.campaign.data.named_craters import GAZETTEER, read_gazetteer
 from boresight.campaign.imaging.image_store import read_chunk
 from boresight.campaign.imaging.real_images import open_tracks
@@ -410,6 +411,10 @@ READERS = {
     "crater-matches": Reader(in_file("1.txt", read_matches), RECORDS),
     "image-plan": Reader(in_file("plan.txt", read_plan), RECORDS),
     "weights": Reader(in_file("weights.npz", read_network, recipes.npz), ARRAYS, written=weights),
+    "crater-labels": Reader(
+        in_file("labels.csv", read_labels),
+        (b"nan", b"1e400", b"diameter", b"angle_deg", b"-1", b'"', b"#", b";", b"\t"),
+    ),
     "gazetteer": Reader(in_file(GAZETTEER, lambda path: read_gazetteer([path.parents[1]]))),
     "image-chunk": Reader(in_file("images.parquet", chunk, recipes.parquet), KINDS),
     "image-chunk-bytes": Reader(in_file("images.parquet", chunk)),
