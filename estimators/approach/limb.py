@@ -64,8 +64,8 @@ class LimbOptions(SpecModel):
     shift: float = Field(
         0.4,
         ge=0,
-        description="The same by unknown relief, over the errors of the points; 0 for a shape that is exact, where the"
-        " errors of points are independent",
+        description="The same by unknown relief, over the errors of the points; 0 for a shape that is exact, with a law"
+        " of reflectance between Lambert's and that of Lommel and Seeliger, where the errors of points are independent",
     )
     misfit_px: float = Field(
         1.6,
