@@ -175,7 +175,7 @@ def failure_grid(run: RunData) -> Grid | None:
     notes = ["n stands for numbers that differ from trial to trial."] if merged else []
     keys = ["scenario", "estimator", "status", "reason"]
     rows = tally(failed, keys)
-    if len(rows) <= _MOST_FAILURES:
+    if len(rows) <= _MOST_FAILURES or failed["scenario"].nunique() == 1:
         columns = (*keys, "trials")
     else:
         notes.append("Those of each scenario are in failures.csv, beside this page.")

@@ -93,7 +93,8 @@ def read_labels(path: Path, columns: str = "") -> Ellipses:
     place = {name: meant.index(name) for name in meant if name}
     wanted = _kind_of(path, set(place), names)
     if twice := [name for name in wanted if meant.count(name) > 1]:
-        raise BoresightError(f"{path}: line 1: two columns are {twice[0]}: leave one out, or name it otherwise")
+        where = "--columns" if columns else "line 1"
+        raise BoresightError(f"{path}: {where}: two columns are {twice[0]}: leave one out, or name it otherwise")
     if not rows:
         raise BoresightError(f"{path}: the table has no craters")
     numbers = np.array([_numbers(path, k, row, [place[name] for name in wanted], wanted) for k, row in rows])

@@ -191,7 +191,7 @@ def show_image(axes: Axes, image: NDArray[np.floating[Any]], window: Window | No
     """
     height, width = image.shape
     seen = image if window is None else windowed(image, window)
-    top = float(np.percentile(seen, 99.8)) or float(seen.max()) or 1.0
+    top = next(one for one in (float(np.percentile(seen, 99.8)), float(seen.max()), 1.0) if one > 0.0)
     axes.imshow(image, cmap="gray", vmin=0.0, vmax=top, extent=(0, width, height, 0), interpolation="nearest")
     axes.grid(visible=False)
 

@@ -25,9 +25,9 @@ LEAST_TRIALS = 10
 _NOTE = (
     "Missed: trials beyond the limit, or without the number; no estimate: those of them without an estimate. Reached:"
     " the limit that would just pass. Risk: the consumer's risk, the probability of a result at least as good where the"
-    " requirement is just not met. Further: trials without another miss that would pass it; at this rate: trials that"
-    " would decide it if they miss as often as those so far. Each verdict has its own risk. Trials that share a real"
-    " image, or sequences that share a set of images, count as one, which passes by its worst and fails by its best."
+    " requirement is just not met. Further: trials without another miss that would pass it; at this rate: about how"
+    " many would decide it if they miss as often as those so far. Each verdict has its own risk. Trials that share a"
+    " real image, or sequences that share a set of images, count as one, which passes by its worst and fails by its best."
     " With several data bases a verdict is of these."
 )
 _LOOKED = (

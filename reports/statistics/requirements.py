@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, betainc, betaincc, betaln
+from scipy.special import bdtr, betainc, betaincc, betaln
 
 from boresight.reports.schema.tables import AFTER_REVOLUTIONS, columns_of, kind_schema, measure_of
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
@@ -118,8 +118,9 @@ class Verdict:
     ``reached`` is the limit that would just pass, so that the margin is from there to the requirement's limit. It is
     infinite if none would: too few trials, or too many failures; None of a yes or no. ``risk`` is the consumer's: the
     probability of trials that speak as much for the requirement where it is just not met. ``further`` trials without a
-    miss would pass it: 0 if it has passed, None if it has failed, or more than ten million would be needed. So many
-    trials more, ``at_this_rate``, would decide it if as many of them miss as so far; 0 where it is decided.
+    miss would pass it: 0 if it has passed, None if it has failed, or more than ten million would be needed. About so
+    many trials more, ``at_this_rate``, would decide it if the rate of misses stays: 0 where it is decided, None without
+    a trial, or where more than ten million would be needed.
     """
 
     verdict: str
@@ -158,8 +159,15 @@ def judge(
     n, m = len(values), int(missed.sum())
     if verdict != UNDECIDED:
         return Verdict(verdict, n, m, reached, risk, 0 if verdict == PASS else None, 0)
-    further = _first(lambda more: _sides(requirement, m, n + more, looked=looked)[0])
-    at_this_rate = _first(lambda more: any(_sides(requirement, round(m / n * (n + more)), n + more, looked=looked)))
+    least = m if best is None else int(requirement.missed(best).sum())
+
+    def decided(total: int) -> bool:
+        # Rates of misses and not numbers of them, so that more trials never undo a verdict.
+        passes, fails = (_sides(requirement, some / n * total, total, looked=looked) for some in (m, least))
+        return passes[0] or fails[1]
+
+    further = _first(n, lambda total: _sides(requirement, m, total, looked=looked)[0], turns if looked else 1)
+    at_this_rate = _first(n, decided, turns if looked else 1) if n else None
     return Verdict(verdict, n, m, reached, risk, further, at_this_rate)
 
 
@@ -169,8 +177,8 @@ def _tested(requirement: Requirement, missed: BoolArray, looked: bool, turns: in
         found = Evidence.of(missed, requirement.share, turns)
         return found.verdict(requirement.risk)[0], min(1.0, 1.0 / float(found.passes.max(initial=1.0)))
     n, m = len(missed), int(missed.sum())
-    passes, fails = _sides(requirement, m, n, looked=False)
-    return PASS if passes else FAIL if fails else UNDECIDED, float(bdtr(m, n, 1.0 - requirement.share))
+    few, many = _chances(m, n, 1.0 - requirement.share)
+    return PASS if few <= requirement.risk else FAIL if many <= requirement.risk else UNDECIDED, few
 
 
 def upper_limit(values: FloatArray, share: float, confidence: float) -> float:
@@ -198,20 +206,30 @@ def _reached(requirement: Requirement, values: FloatArray, looked: bool, turns: 
     return float(ordered[number]) if number < len(ordered) else np.inf
 
 
-def _sides(requirement: Requirement, m: int, n: int, *, looked: bool) -> tuple[bool, bool]:
-    """Tell whether m misses in n trials pass it, and whether they fail it; of a run that is looked at, at one look."""
+def _sides(requirement: Requirement, m: float, n: int, *, looked: bool) -> tuple[bool, bool]:
+    """Tell whether m misses in n trials pass it, and whether they fail it; of a run that is looked at, at one look.
+
+    Between whole numbers of misses the binomial distribution is continued by the incomplete beta function.
+    """
     allowed = 1.0 - requirement.share
     if looked:
         passes, fails = (float(one) >= -np.log(requirement.risk) for one in _log_evidence(m, n, allowed))
         return passes, fails
-    many = float(bdtrc(m - 1, n, allowed)) if m else 1.0
-    return float(bdtr(m, n, allowed)) <= requirement.risk, many <= requirement.risk
+    few, many = _chances(m, n, allowed)
+    return few <= requirement.risk, many <= requirement.risk
 
 
-def _first(decided: Callable[[int], bool]) -> int | None:
-    """Return the number of further trials from which on it is decided; None of more than `_MOST_TRIALS`."""
-    more = bisect_left(range(_MOST_TRIALS), 1, key=lambda trials: int(decided(trials)))
-    return more if more < _MOST_TRIALS else None
+def _chances(m: float, n: int, rate: float) -> tuple[float, float]:
+    """Return the probabilities of at most and of at least m misses in n trials."""
+    few = float(betaincc(m + 1.0, n - m, rate)) if m < n else 1.0
+    return few, float(betainc(m, n - m + 1.0, rate)) if m > 0.0 else 1.0
+
+
+def _first(n: int, decided: Callable[[int], bool], turns: int) -> int | None:
+    """Return after how many further trials it is decided, n + these a multiple of ``turns``; None of too many."""
+    totals = range(turns * (n // turns + 1), _MOST_TRIALS, turns)
+    place = bisect_left(totals, 1, key=lambda total: int(decided(total)))
+    return totals[place] - n if place < len(totals) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +270,7 @@ class Evidence:
         return verdict, first[verdict] + 1
 
 
-def _log_evidence(misses: IndexArray | int, n: IndexArray | int, allowed: float) -> tuple[FloatArray, FloatArray]:
+def _log_evidence(misses: IndexArray | float, n: IndexArray | int, allowed: float) -> tuple[FloatArray, FloatArray]:
     """Logarithms of `Evidence` for numbers of misses among numbers n of trials, and an allowed rate of misses."""
     a, b = 0.5 + misses, 0.5 + n - misses
     boundary = misses * np.log(allowed) + (n - misses) * np.log1p(-allowed)

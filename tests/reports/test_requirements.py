@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -57,21 +58,51 @@ def test_the_risks_are_those_of_scipys_binomial_test(n, missed):
     assert (found.n, found.missed, found.reached) == (n, missed, None)
 
 
-@pytest.mark.parametrize(("n", "missed", "side"), [(500, 28, "greater"), (400, 24, "greater"), (100, 3, "less")])
-def test_the_trials_at_this_rate_are_the_first_that_scipys_test_decides(n, missed, side):
+@pytest.mark.parametrize(
+    ("n", "missed", "looked"), [(500, 28, False), (400, 24, False), (100, 3, False), (60, 2, True)]
+)
+def test_after_the_trials_at_this_rate_the_test_decides(n, missed, looked):
+    """So many trials with so many misses, rounded to either side, are decided or nearly so; far fewer are not."""
     asked = parse_requirement("success in 95 % at 90 %")
-    found = judge(asked, np.where(np.arange(n) < missed, 1.0, 0.0))
+    spread = np.arange(1, n + 1) * missed // n > np.arange(n) * missed // n
+    found = judge(asked, spread.astype(float), looked=looked)
     assert found.verdict == UNDECIDED
 
-    def risk(trials):
-        return binomtest(round(missed / n * trials), trials, 0.05, alternative=side).pvalue
+    def verdict(trials, misses):
+        order = np.arange(1, trials + 1) * misses // trials > np.arange(trials) * misses // trials
+        return judge(asked, order.astype(float), looked=looked).verdict
 
-    assert risk(n + found.at_this_rate) <= 0.1 < risk(n + found.at_this_rate - 1)
+    total = n + found.at_this_rate
+    assert verdict(int(1.3 * total), round(1.3 * missed / n * total)) != UNDECIDED
+    assert UNDECIDED in {verdict(total, misses(missed / n * total)) for misses in (math.floor, math.ceil)} | {
+        verdict(int(0.8 * total), round(0.8 * missed / n * total))
+    }
+    more = judge(asked, np.tile(spread, 2).astype(float), looked=looked)
+    if more.verdict == UNDECIDED:
+        assert n + more.at_this_rate == pytest.approx(found.at_this_rate, abs=1), "it does not jump"
 
 
-def test_at_the_allowed_rate_no_number_of_trials_decides():
-    found = judge(parse_requirement("success in 95 % at 90 %"), np.where(np.arange(100) < 5, 1.0, 0.0))
+def test_without_a_way_to_decide_there_is_no_number_of_trials_at_this_rate():
+    asked = parse_requirement("success in 95 % at 90 %")
+    found = judge(asked, np.where(np.arange(100) < 5, 1.0, 0.0))
     assert (found.verdict, found.further, found.at_this_rate) == (UNDECIDED, 84, None)
+    none = judge(asked, np.zeros(0))
+    assert (none.verdict, none.further, none.at_this_rate) == (UNDECIDED, 45, None)
+
+
+def test_units_that_pass_by_their_worst_and_fail_by_their_best_are_decided_by_either():
+    asked = parse_requirement("success in 95 % at 90 %")
+    worst, best = (np.where(np.arange(100) < missed, 1.0, 0.0) for missed in (20, 4))
+    assert judge(asked, worst, best=best).at_this_rate is None
+    eight = np.where(np.arange(100) < 8, 1.0, 0.0)
+    assert judge(asked, worst, best=eight).at_this_rate == judge(asked, eight).at_this_rate > 0
+
+
+def test_with_data_bases_in_turn_looks_come_after_each_had_as_many_trials():
+    asked = parse_requirement("success in 95 % at 90 %")
+    found = judge(asked, np.zeros(59), looked=True, turns=5)
+    assert (found.verdict, found.further, found.at_this_rate) == (UNDECIDED, 1, 1)
+    assert judge(asked, np.zeros(60), looked=True, turns=5).verdict == PASS
 
 
 @pytest.mark.parametrize("looked", [False, True])

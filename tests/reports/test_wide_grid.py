@@ -85,6 +85,14 @@ def test_maps_have_the_medians_and_trials_of_the_last_two_axes(tmp_path):
     assert cells_of(last.figure)[0][5, 4] == f"-\n0/{TRIALS}"
 
 
+def test_maps_of_errors_come_before_the_failures_of_a_page(tmp_path):
+    content = read_content(store_wide(tmp_path / "run", methods=METHODS[:2]))
+    drawn = list(level_maps(content.run, content.run.manifest.grid))
+    page = html_page(content, [(one, b"png") for one in drawn])
+    assert drawn
+    assert all(page.index(f'alt="{one.alt}"') < page.index("Failures by reason") for one in drawn)
+
+
 def test_a_grid_without_an_estimate_has_no_map(tmp_path):
     run = read_content(store_wide(tmp_path / "run", RANGES[:2], PHASES[:2], METHODS[:1], 2)).run
     failed = replace(run, rows=run.rows.assign(status="failed", **dict.fromkeys(POSE_COLUMNS, np.nan)))
