@@ -24,11 +24,11 @@ LEAST_TRIALS = 10
 """Trials in each third of a tornado, or of each level of a grid, below which a quantile there says nothing."""
 _NOTE = (
     "Missed: trials beyond the limit, or without the number; no estimate: those of them without an estimate. Reached:"
-    " the limit that would just pass. Risk: the consumer's risk, the probability of a result at least as good where the"
-    " requirement is just not met. Further: trials without another miss that would pass it; at this rate: about how"
-    " many would decide it if they miss as often as those so far. Each verdict has its own risk. Trials that share a"
-    " real image, or sequences that share a set of images, count as one, which passes by its worst and fails by its best."
-    " With several data bases a verdict is of these."
+    " the limit that would just pass. Risk: the consumer's risk, the probability of a result at least as good where"
+    " the requirement is just not met. Further: trials without another miss that would pass it; at this rate: about"
+    " how many would decide it if they miss as often as those so far. Each verdict has its own risk. Trials that share"
+    " a real image, or sequences that share a set of images, count as one, which passes by its worst and fails by its"
+    " best. With several data bases a verdict is of these."
 )
 _LOOKED = (
     " This run was looked at and went on, or is not finished: verdicts are of a test that holds at every look, and"
