@@ -202,7 +202,9 @@ def test_what_cannot_work_is_refused_with_its_key(scenario, overrides, key):
         check_bodies(load_scenario(scenario, overrides))
 
 
-def test_show_and_validate_print_the_preview_and_the_lengths(tmp_path, capsys):
+def test_show_and_validate_print_the_preview_and_the_lengths(tmp_path, monkeypatch, capsys):
+    # Times are known by the name of a campaign, and other tests run one called c.
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
     (tmp_path / "scene.yaml").write_text(SCENE)
     (tmp_path / "c.yaml").write_text(
         "scenarios: [scene.yaml]\nestimators: [landmark-harris, landmark-ransac]\ntrials: 2\nseed: 1\n"
