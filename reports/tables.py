@@ -170,7 +170,7 @@ def timing_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def failure_grid(run: RunData) -> Grid | None:
-    """Tabulate failures by reason, if there are many over all scenarios; None if every trial is ok."""
+    """Tabulate failures by reason; many are counted over all scenarios. None if every trial is ok."""
     failed, merged = unsolved(run)
     notes = ["n stands for numbers that differ from trial to trial."] if merged else []
     keys = ["scenario", "estimator", "status", "reason"]
@@ -178,10 +178,10 @@ def failure_grid(run: RunData) -> Grid | None:
     if len(rows) <= _MOST_FAILURES or failed["scenario"].nunique() == 1:
         columns = (*keys, "trials")
     else:
-        notes.append("Those of each scenario are in failures.csv, beside this page.")
+        notes.append("The failures of each scenario are in failures.csv, beside this page.")
         keys = keys[1:]
         columns = (*keys, "scenarios", "trials")
         scenarios = failed.groupby(keys)["scenario"].nunique()
-        rows = [(*one, str(scenarios[one]), trials) for *key, trials in tally(failed, keys) if (one := tuple(key))]
+        rows = [(*key, str(scenarios[tuple(key)]), trials) for *key, trials in tally(failed, keys)]
     left = frozenset(range(len(keys)))
     return Grid("Failures by reason", columns, tuple(rows), left, " ".join(notes)) if rows else None

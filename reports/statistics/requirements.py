@@ -159,15 +159,17 @@ def judge(
     n, m = len(values), int(missed.sum())
     if verdict != UNDECIDED:
         return Verdict(verdict, n, m, reached, risk, 0 if verdict == PASS else None, 0)
-    least = m if best is None else int(requirement.missed(best).sum())
+    least, step = m if best is None else int(requirement.missed(best).sum()), turns if looked else 1
+
+    def sides(misses: float, total: int) -> tuple[bool, bool]:
+        return _sides(requirement, misses, total, looked=looked)
 
     def decided(total: int) -> bool:
         # Rates of misses and not numbers of them, so that more trials never undo a verdict.
-        passes, fails = (_sides(requirement, some / n * total, total, looked=looked) for some in (m, least))
-        return passes[0] or fails[1]
+        return sides(m / n * total, total)[0] or sides(least / n * total, total)[1]
 
-    further = _first(n, lambda total: _sides(requirement, m, total, looked=looked)[0], turns if looked else 1)
-    at_this_rate = _first(n, decided, turns if looked else 1) if n else None
+    further = _first(n, step, lambda total: sides(m, total)[0])
+    at_this_rate = _first(n, step, decided) if n else None
     return Verdict(verdict, n, m, reached, risk, further, at_this_rate)
 
 
@@ -225,9 +227,9 @@ def _chances(m: float, n: int, rate: float) -> tuple[float, float]:
     return few, float(betainc(m, n - m + 1.0, rate)) if m > 0.0 else 1.0
 
 
-def _first(n: int, decided: Callable[[int], bool], turns: int) -> int | None:
-    """Return after how many further trials it is decided, n + these a multiple of ``turns``; None of too many."""
-    totals = range(turns * (n // turns + 1), _MOST_TRIALS, turns)
+def _first(n: int, step: int, decided: Callable[[int], bool]) -> int | None:
+    """Return after how many further trials it is decided, n + these a multiple of ``step``; None of too many."""
+    totals = range(step * (n // step + 1), _MOST_TRIALS, step)
     place = bisect_left(totals, 1, key=lambda total: int(decided(total)))
     return totals[place] - n if place < len(totals) else None
 

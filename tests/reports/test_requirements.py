@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 
 import numpy as np
@@ -62,7 +61,7 @@ def test_the_risks_are_those_of_scipys_binomial_test(n, missed):
     ("n", "missed", "looked"), [(500, 28, False), (400, 24, False), (100, 3, False), (60, 2, True)]
 )
 def test_after_the_trials_at_this_rate_the_test_decides(n, missed, looked):
-    """So many trials with so many misses, rounded to either side, are decided or nearly so; far fewer are not."""
+    """Three tenths more trials, with as many misses in a hundred, are decided, and a fifth fewer are not."""
     asked = parse_requirement("success in 95 % at 90 %")
     spread = np.arange(1, n + 1) * missed // n > np.arange(n) * missed // n
     found = judge(asked, spread.astype(float), looked=looked)
@@ -74,9 +73,7 @@ def test_after_the_trials_at_this_rate_the_test_decides(n, missed, looked):
 
     total = n + found.at_this_rate
     assert verdict(int(1.3 * total), round(1.3 * missed / n * total)) != UNDECIDED
-    assert UNDECIDED in {verdict(total, misses(missed / n * total)) for misses in (math.floor, math.ceil)} | {
-        verdict(int(0.8 * total), round(0.8 * missed / n * total))
-    }
+    assert verdict(int(0.8 * total), round(0.8 * missed / n * total)) == UNDECIDED
     more = judge(asked, np.tile(spread, 2).astype(float), looked=looked)
     if more.verdict == UNDECIDED:
         assert n + more.at_this_rate == pytest.approx(found.at_this_rate, abs=1), "it does not jump"
