@@ -26,6 +26,8 @@ def run_command(arguments: argparse.Namespace) -> int:
         raise BoresightError("--out is the folder of one run: leave it out where several campaigns are given")
     if twice := [name for name in names if names.count(name) > 1]:
         raise BoresightError(f"{twice[0]} is given twice: give each campaign once")
+    if "craters-real" in names:
+        raise BoresightError("craters-real is a command of its own: boresight craters-real")
     if arguments.fetch or arguments.source:
         # Imported here: downloads take 0.3 s to import.
         from boresight.campaign.cli.fetch import bring_missing

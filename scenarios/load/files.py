@@ -50,7 +50,7 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
     if not exists(path):
         known, beside = names_in(catalog), [one.name for one in sorted(path.parent.glob("*")) if one.suffix in SUFFIXES]
         close = difflib.get_close_matches(path.stem, known, n=1) or difflib.get_close_matches(path.name, beside, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"give a path, or one of {', '.join(known)}"
+        hint = f"did you mean {close[0]}?" if close else "give a path, or a name of: boresight list --all"
         raise BoresightError(f"{shortened(name_or_path)}: no such {what}; {hint}")
     return path
 

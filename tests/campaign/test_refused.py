@@ -27,6 +27,7 @@ COMMANDS: dict[str, str | list[str]] = {
     "run FILE --local 2": "--scheduler and --local are of --backend dask",
     "run FILE --backend dask --local 2 --keep-images": "--keep-images: workers of a cluster cannot write",
     "run FILE quickstart --out out": "--out is the folder of one run",
+    "run FILE craters-real": "craters-real is a command of its own: boresight craters-real",
     "run FILE FILE": "is given twice: give each campaign once",
     "run FILE quickstrat": "quickstrat: no such campaign; did you mean quickstart?",
     "validate .": "is a folder, not a YAML file",
