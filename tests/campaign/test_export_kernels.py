@@ -29,7 +29,7 @@ sequence:
   orbit: {revolutions: 0.25}
   body_motion: {kind: spin, period_h: 30.4, axis_body: [0, 0.2, 1]}
 """
-ORBIT = "extends: eros-like-orbit\n"
+ORBIT = "extends: eros-like-orbit\norbit: {arc: {days: 2, predicted_days: 1}, sightings: {images: 40, craters: 600}}\n"
 CAMPAIGN = "title: T\nexperiment: {0}\nscenarios: [scene.yaml]\nestimators: [{1}]\ntrials: 1\nseed: 20030300\n"
 
 
