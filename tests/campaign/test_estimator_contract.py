@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,15 +24,19 @@ from boresight.scenarios.load import load_scenario
 from boresight.scenarios.observation import CameraSigma, Frame, Observation
 
 MAPLETS = {"spacing_m": 15, "side": 15}
+PHOTOMETRIC = {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]}
+REHEARSALS = {"trials": 20, "bodies": 1}
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {
     "landmark-harris": {"database": DATABASE},
     "centroid": {"shape": "landmark-mesh", "database": DATABASE},
     "landmark-ransac": {"database": DATABASE, "log_evidence_min": None},
     "whole-image": {"database": DATABASE},
-    "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
+    "photometric": PHOTOMETRIC,
     "landmark-altimeter": {"options": {"database": DATABASE}},
     "lmaps": {"maplets": MAPLETS},
+    "consensus": {"options": {"maplets": MAPLETS}, "second_options": PHOTOMETRIC},
+    "tuned": {"options": PHOTOMETRIC, "tuning": REHEARSALS},
 }
 # Need what the scene has not: their contract is tested with bodies that have craters, and with stars in images.
 ELSEWHERE = {"crater-pose", "stars"}
@@ -70,7 +75,7 @@ def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
 
 
 class QuickProducts:
-    """Lends quick data bases to whoever asks for one by default options."""
+    """Lends quick data bases and rehearsals to whoever asks for them by default options."""
 
     def __init__(self, assets: BuiltAssets) -> None:
         self.camera = assets.camera
@@ -78,7 +83,9 @@ class QuickProducts:
         self.shape = assets.shape
         self._assets = assets
 
-    def product(self, kind: str, options: object) -> object:
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        if kind == "covariance-tuning":
+            options = {**options, **REHEARSALS, "options": PHOTOMETRIC}
         return self._assets.product(kind, {"landmark-database": DATABASE, "maplets": MAPLETS}.get(kind, options))
 
 
