@@ -25,8 +25,11 @@ def cross_matrix(vectors: FloatArray) -> FloatArray:
 
 def angle_between(first: FloatArray, second: FloatArray) -> float:
     """Return the angle between two vectors (3,) of any length, rad."""
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()
+    # In place of numpy's cross product, which takes ten times as long for one pair.
+    cross = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
     # The arc tangent keeps the digits of small angles, of which the arc cosine loses half.
-    return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
+    return float(np.arctan2(np.linalg.norm(cross), first @ second))
 
 
 def spherical_direction(longitude_rad: FloatArray | float, latitude_rad: FloatArray | float) -> FloatArray:
