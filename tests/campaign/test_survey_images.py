@@ -176,13 +176,13 @@ def test_features_seen_from_almost_one_direction_have_no_point(place):
             triangulated_views(shown, options)
 
 
-SURVEYED = Rehearsals(base="landmark-sift", options={"database": {"source": "survey"}}, version=7, trials=40)
+SURVEYED = Rehearsals(base="landmark-sift", options={"database": {"source": "survey"}}, version=7, trials=20)
 
 
 def test_a_survey_tunes_a_covariance_by_its_own_images_and_their_reference(place):
     before = product(scene(place), TUNING, SURVEYED)
     assert isinstance(before, CovarianceTuning)
-    assert before.solved == 40
+    assert before.solved == 20
     # The image of the trials is not looked at.
     cv2.imwrite(str(place / "set" / "1.png"), np.zeros((256, 256), np.uint8))
     assert product(scene(place), TUNING, SURVEYED) == before

@@ -127,7 +127,9 @@ def test_a_drift_is_one_step_for_all_tracks_of_a_sequence_and_normal_over_sequen
     walks = "walk_px: 0.3, student_t: 4"
     drawn = []
     for trial in range(30):
-        plain, moved = (errors_of(trial, revolutions=0.05, track_errors=f"{{{walks}{more}}}") for more in ("", ", drift_px: 0.2"))
+        plain, moved = (
+            errors_of(trial, revolutions=0.05, track_errors=f"{{{walks}{more}}}") for more in ("", ", drift_px: 0.2")
+        )
         first: dict[int, int] = {}
         steps = []
         for index, (one, other) in enumerate(zip(plain[:8], moved[:8], strict=True)):
