@@ -21,6 +21,7 @@ LONG = (
     "boresight.campaign.cli.fetch.bring",
     "boresight.campaign.cli.report.write",
     "boresight.campaign.cli.compare.write_comparison",
+    "boresight.campaign.cli.predict.predict_errors",
 )
 """Where what takes long begins: all that a command names was read and checked by then."""
 
@@ -82,5 +83,5 @@ def run_command(words: list[str]) -> int:
     try:
         return main(words)
     except ReachedError:
-        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch", "report", "compare")
+        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch", "report", "compare", "predict")
         return 0
