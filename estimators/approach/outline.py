@@ -11,7 +11,7 @@ from boresight.scenarios.compiled import compiler
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.geometry.mesh import kept_with_mesh
 
-kernel, inner = compiler(Path(__file__).parent)
+kernel, _ = compiler(Path(__file__).parent)
 
 _TANGENT_PX = 2.0
 _CELLS = 128  # on a side of the grid of `nearest_facets`

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from boresight.estimators.approach.body import Patch
+from boresight.estimators.approach.outline import kernel
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.compiled import compiler
-
-kernel, inner = compiler(Path(__file__).parent)
 
 _REACH_PX, _STEP_PX, _FINE_PX = 4.0, 0.5, 0.125
 # Variances, px^2, of the square of a pixel and of OpenCV's cubic interpolation: the integral of x^2 w(x) over the
