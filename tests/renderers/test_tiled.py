@@ -77,15 +77,16 @@ def test_candidates_hold_all_facets_that_contain_a_ray(renderer: TiledRenderer, 
     if pencil:
         seen[..., :2] /= seen[..., 2:]
     a, b, c = np.moveaxis(seen, 1, 0)
+    (left, top), (right, bottom) = seen[..., :2].min(axis=1).T.copy(), seen[..., :2].max(axis=1).T.copy()
     needed = np.zeros(len(corners), dtype=bool)
     for x, y, from_m in rays[np.isfinite(rays).all(axis=1)]:
+        near = np.flatnonzero((left <= x) & (x <= right) & (top <= y) & (y <= bottom))
         # Signed areas of the triangles that the point makes with the sides are barycentric coordinates.
-        w = np.stack(
-            [(q[:, 0] - x) * (r[:, 1] - y) - (q[:, 1] - y) * (r[:, 0] - x) for q, r in ((b, c), (c, a), (a, b))]
-        )
+        sides = ((b[near], c[near]), (c[near], a[near]), (a[near], b[near]))
+        w = np.stack([(q[:, 0] - x) * (r[:, 1] - y) - (q[:, 1] - y) * (r[:, 0] - x) for q, r in sides])
         inside = (w > 0.0).all(axis=0) | (w < 0.0).all(axis=0)
-        inside[inside] = (w[:, inside] * seen[inside, :, 2].T).sum(axis=0) / w[:, inside].sum(axis=0) > from_m
-        needed |= inside
+        w, near = w[:, inside], near[inside]
+        needed[near[(w * seen[near, :, 2].T).sum(axis=0) / w.sum(axis=0) > from_m]] = True
     have = {row.tobytes() for row in candidate_facets(ground, tiles, fan, rays).reshape(-1, 9)}
     assert needed.sum() > 100
     assert all(np.ascontiguousarray(row).tobytes() in have for row in corners[needed].reshape(-1, 9))
