@@ -220,7 +220,7 @@ def test_errors_are_what_the_covariance_says() -> None:
     true = np.array([GM, np.linalg.norm(LIGHT)])
     trials = 10
     for trial in range(trials):
-        sequence, truth = make_orbit_sequence(np.random.default_rng([3, trial]), Recipe(frames=25))
+        sequence, truth = make_orbit_sequence(np.random.default_rng([3, trial]), Recipe(frames=15))
         estimate = DynamicSmoother.from_options({"lag": 6}).follow(sequence)
         last = estimate.frames[-1]
         error = last.position_m - truth.positions_m[-1]
@@ -234,7 +234,7 @@ def test_errors_are_what_the_covariance_says() -> None:
         assert low < total < high
 
 
-@pytest.mark.parametrize("trials", [120, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("trials", [60, pytest.param(400, marks=pytest.mark.long)])
 def test_what_two_frames_tell_of_the_light_is_what_was_known(trials: int) -> None:
     """The error of the known value does not change its standard deviation, so that squared errors average one."""
     squares = []
@@ -273,12 +273,12 @@ def test_error_of_the_first_position_is_found_out() -> None:
 
 
 def test_innovation_is_one_and_wrong_forces_are_declared() -> None:
-    """The mean of 6 trials of 29 frames is a chi-square over its freedom: 1 to within four standard deviations."""
+    """The mean of 3 trials of 19 frames is a chi-square over its freedom: 1 to within four standard deviations."""
     told = []
-    for trial in range(6):
-        sequence, _ = make_orbit_sequence(np.random.default_rng([8, trial]), Recipe(frames=30))
+    for trial in range(3):
+        sequence, _ = make_orbit_sequence(np.random.default_rng([8, trial]), Recipe(frames=20))
         told.append(DynamicSmoother.from_options({"lag": 6}).follow(sequence).diagnostics["innovation"])
-    freedom = 6 * 29 * 15  # two coordinates of 15 landmarks a frame, of which a tenth are new: 30 - 1.5 x 3 and more
+    freedom = 3 * 19 * 15  # two coordinates of 15 landmarks a frame, of which a tenth are new: 30 - 1.5 x 3 and more
     assert np.mean(told) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
     assert sequence.forces is not None
     wrong = replace(sequence.forces, gm_m3_s2=2.0 * GM, gm_sigma_m3_s2=0.01, noise_m_s2=1e-9)
