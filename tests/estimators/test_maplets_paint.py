@@ -58,15 +58,17 @@ def mesh():
     return boresight.TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32))
 
 
-def painted(mesh, images):
+@pytest.fixture(scope="module")
+def painted(mesh):
+    """Paint maplets that are built once with the brightness of images."""
     maplets = build_maplets(mesh, MapletOptions(spacing_m=1.5, side=25))
     renderer = boresight.MitsubaRenderer(maplets.mesh(), LambertSpec(albedo=1.0), 4)
-    return paint(maplets, renderer, images)
+    return lambda images: paint(maplets, renderer, images)
 
 
-def test_the_albedo_is_that_of_the_ground_whatever_the_exposure(mesh):
+def test_the_albedo_is_that_of_the_ground_whatever_the_exposure(painted):
     images = [drawn(1.0, 0.0, 0.0), drawn(0.96, 0.28, 0.0, exposure=300.0)]
-    found = painted(mesh, images)
+    found = painted(images)
     nodes = found.nodes_m.reshape(-1, 3)
     values = found.albedo.reshape(-1)
     inner = nodes @ np.array([1.0, 0.0, 0.0]) > 0.7 * RADIUS_M
@@ -79,10 +81,10 @@ def test_the_albedo_is_that_of_the_ground_whatever_the_exposure(mesh):
     assert (values[nodes[:, 0] < -0.3 * RADIUS_M] == 1.0).all()
 
 
-def test_ground_that_fills_the_frame_is_not_taken_for_sky(mesh):
+def test_ground_that_fills_the_frame_is_not_taken_for_sky(painted):
     image = drawn(1.0, 0.0, 0.0, range_m=280.0, sun=np.array([1.0, 0.0, 0.0]))
     assert image.pixels[::299, ::299].min() > 0.3 * image.pixels.max()
-    found = painted(mesh, [image])
+    found = painted([image])
     nodes, values = found.nodes_m.reshape(-1, 3), found.albedo.reshape(-1)
     shown = values != 1.0
     ratio = values[shown] / albedo(nodes[shown])
@@ -90,7 +92,7 @@ def test_ground_that_fills_the_frame_is_not_taken_for_sky(mesh):
     assert np.std(ratio / np.median(ratio)) < 0.03
 
 
-def test_the_background_beside_the_body_is_taken_off(mesh):
+def test_the_background_beside_the_body_is_taken_off(painted):
     image = drawn(1.0, 0.0, 0.0)
 
     class Raised(Drawn):
@@ -98,16 +100,16 @@ def test_the_background_beside_the_body_is_taken_off(mesh):
         def pixels(self):
             return super().pixels + np.float32(0.4)
 
-    plain, raised = painted(mesh, [image]), painted(mesh, [Raised(image.view)])
+    plain, raised = painted([image]), painted([Raised(image.view)])
     np.testing.assert_allclose(raised.albedo, plain.albedo, atol=0.02)
 
 
-def test_a_black_image_paints_nothing(mesh):
+def test_a_black_image_paints_nothing(painted):
     image = drawn(1.0, 0.0, 0.0)
     black = drawn(1.0, 0.0, 0.0, exposure=0.0)
-    np.testing.assert_array_equal(painted(mesh, [image, black]).albedo, painted(mesh, [image]).albedo)
+    np.testing.assert_array_equal(painted([image, black]).albedo, painted([image]).albedo)
     with pytest.raises(NoProductError, match="no image of the survey shows a lit part"):
-        painted(mesh, [black])
+        painted([black])
 
 
 def test_points_are_seen_in_the_image_before_the_limb_and_not_behind_the_body(mesh):
@@ -131,9 +133,9 @@ def test_maplets_cover_what_is_wanted(mesh):
     assert seen(maplets.anchors_m, maplets.axes[:, 2], image, 1.5).mean() > 0.9
 
 
-def test_images_that_show_nothing_make_no_maplets(mesh):
+def test_images_that_show_nothing_make_no_maplets(mesh, painted):
     with pytest.raises(NoProductError, match="the middle of no facet"):
         build_maplets(mesh, MapletOptions(), np.zeros(len(mesh.faces), dtype=bool))
     night = Drawn(View(CAMERA, look_at(RANGE_M * -SUN, np.zeros(3)), SUN))
     with pytest.raises(NoProductError, match="no image of the survey shows a lit part"):
-        painted(mesh, [night])
+        painted([night])
