@@ -61,10 +61,10 @@ def test_a_landmark_behind_the_camera_has_no_pixel():
 
 def two_lobes():
     """A concave body: two balls on a bar, remeshed by revolving a profile."""
-    x = np.linspace(-200.0, 200.0, 41)
+    x = np.linspace(-200.0, 200.0, 31)
     lobe = np.sqrt(np.clip(90.0**2 - (np.abs(x) - 110.0) ** 2, 0.0, None))
     profile = np.column_stack([np.maximum(lobe, np.where(np.abs(x) < 110.0, 30.0, 0.0)), x])
-    body = trimesh.creation.revolve(profile, sections=24)
+    body = trimesh.creation.revolve(profile, sections=18)
     body.fix_normals()
     return TriangleMesh(np.asarray(body.vertices), np.asarray(body.faces))
 
