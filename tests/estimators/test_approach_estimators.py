@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ CAMERA = Camera(160, 128, 1000.0, 1000.0, 80.0, 64.0)
 BODY = EMBEDDED["contact-binary"]()
 SIGHTS = ("centroid", "centroid-phase", "silhouette")
 METHODS = (*SIGHTS, "limb")
-TRIALS = 24
+TRIALS = 16
 
 
 class Assets:
@@ -54,16 +55,21 @@ def observed(
     phase_deg=(20.0, 110.0),
     range_sigma: float = 0.01,
 ) -> tuple[Pose, Observation]:
-    """A view from a random direction at a random phase angle, with errors of the prior."""
+    """A view from a random direction at a random phase angle, with errors of the prior; drawn once for all tests."""
+    return drawn(RENDERER, BODY.radius_m, trial, size_px, turn_deg, middle_px, phase_deg, range_sigma)
+
+
+@cache
+def drawn(renderer, radius_m, trial, size_px, turn_deg, middle_px, phase_deg, range_sigma):
     rng = np.random.default_rng((11, trial))
-    range_m = 2.0 * BODY.radius_m * CAMERA.fx_px / size_px
+    range_m = 2.0 * radius_m * CAMERA.fx_px / size_px
     direction = rng.normal(size=3)
     truth = look_at(range_m * direction / np.linalg.norm(direction), rng.uniform(0.0, 6.0))
     scale = range_m / CAMERA.fx_px
     truth = truth.perturbed(np.zeros(3), np.array([*(rng.uniform(-8.0, 8.0, 2) + middle_px), 0.0]) * scale)
     phase, around = np.radians(rng.uniform(*phase_deg)), rng.uniform(0.0, 6.28)
     sun = np.array([np.sin(phase) * np.cos(around), np.sin(phase) * np.sin(around), -np.cos(phase)])
-    image = Detector(DetectorSpec()).expose(RENDERER.render(View(CAMERA, truth, truth.rotation.T @ sun)), rng)
+    image = Detector(DetectorSpec()).expose(renderer.render(View(CAMERA, truth, truth.rotation.T @ sun)), rng)
     sigmas = np.array([np.radians(turn_deg)] * 3 + [4.0 * scale, 4.0 * scale, range_sigma * range_m])
     error = rng.normal(size=6) * sigmas
     prior = truth.perturbed(error[:3], error[3:])
@@ -107,7 +113,7 @@ def mean_nees(trials) -> float:
 
 
 def test_the_covariance_is_that_of_the_errors(solved):
-    # For exact covariances 99 % of such means are within 0.7 and 1.4; the bias of a limb is stated with a margin.
+    # For exact covariances 99 % of such means are within 0.65 and 1.4; the bias of a limb is stated with a margin.
     assert 0.35 < mean_nees(solved[1]) < 1.6
 
 
@@ -119,7 +125,7 @@ def test_the_limb_of_a_crescent():
     assert mean_nees(solved) < 1.2
 
 
-@pytest.mark.parametrize("name", SIGHTS)
+@pytest.mark.parametrize("name", ["centroid", *(pytest.param(one, marks=pytest.mark.long) for one in SIGHTS[1:])])
 def test_the_covariance_of_a_crescent_thinner_than_a_pixel(name):
     """Three pixels of body: where in its pixel the crescent is, the image does not tell."""
     seen = [observed(trial, size_px=3.5, phase_deg=(110.0, 140.0)) for trial in range(TRIALS)]
@@ -209,7 +215,7 @@ def test_the_centroid_fits_the_law_of_reflectance(monkeypatch, size_px):
         estimator_class("centroid").from_options({"reflectance": how}, Assets()) for how in ("fitted", "onboard")
     ]
     errors_px, shares = [], []
-    for trial in range(12):
+    for trial in range(8):
         truth, seen = observed(trial, size_px=size_px, phase_deg=(30.0, 30.0))
         found = [method.estimate(seen, rng=np.random.default_rng(0)) for method in methods]
         apart_px = [CAMERA.project(one.pose.translation_m) - CAMERA.project(truth.translation_m) for one in found]
