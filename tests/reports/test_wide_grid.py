@@ -8,22 +8,32 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from stored_grids import METHODS, PHASES, RANGES, TRIALS, size_m, store_thousand, store_wide
+from stored_grids import PHASES, RANGES, TRIALS, size_m, store_thousand, store_wide
 from stored_runs import RunBuilder, pose_error
 
 from boresight.reports.kinds import brief_grids, pooled, report_figures, report_grids
 from boresight.reports.kinds.maps import level_maps
-from boresight.reports.kinds.pooled import EXTREMES, MOST_LEVELS, shown_levels
+from boresight.reports.kinds.pooled import EXTREMES, MOST_CELLS, MOST_LEVELS, shown_levels
 from boresight.reports.pages.build import html_page
 from boresight.reports.pages.content import content_of, read_content
 from boresight.reports.run.data import GridAxis
 from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.scenarios.load import load_scenario
 
+METHODS = tuple(f"method-{k}" for k in range(7))
+CELLS = len(RANGES) * len(PHASES) * len(METHODS)
+
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory):
-    return read_content(store_wide(tmp_path_factory.mktemp("wide") / "run"))
+    assert CELLS > MOST_CELLS
+    return read_content(store_wide(tmp_path_factory.mktemp("wide") / "run", methods=METHODS))
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """The same grid of two methods, few enough for maps."""
+    return read_content(store_wide(tmp_path_factory.mktemp("two") / "run", methods=METHODS[:2]))
 
 
 def test_levels_are_pooled_over_the_other_axes(wide):
@@ -36,8 +46,8 @@ def test_levels_are_pooled_over_the_other_axes(wide):
     assert by_phase.rows[4][6].split(" [")[0] == f"{np.median(sizes):.0f}"
     n = len(RANGES) * len(PHASES) * TRIALS
     assert by_phase.rows[4][1:3] == (f"{n}/{n}", f"{n}/{n}")
-    assert by_phase.rows[12][1] == f"{n - TRIALS}/{n}", "of the last method a cell has failed"
-    assert by_phase.rows[12][-1].endswith(f" of the {4 * TRIALS} that ended")
+    assert by_phase.rows[len(METHODS)][1] == f"{n - TRIALS}/{n}", "of the last method a cell has failed"
+    assert by_phase.rows[len(METHODS)][-1].endswith(f" of the {4 * TRIALS} that ended")
     assert "table.csv" in position[0].note
 
 
@@ -46,11 +56,12 @@ def test_the_extreme_cells_are_in_full(wide):
     assert len(grid.rows) == 2 * EXTREMES
     assert [row[:4] for row in grid.rows[:2]] == [("best", "0 km", "0 deg", f"method-{k}") for k in (0, 1)]
     worst = grid.rows[EXTREMES]
-    assert worst == ("worst", "4 km", "5 deg", "method-11", f"0/{TRIALS}", "-", "-"), (
+    assert worst == ("worst", "4 km", "5 deg", METHODS[-1], f"0/{TRIALS}", "-", "-"), (
         "a failure is worse than any error"
     )
     assert grid.rows[EXTREMES + 1][3:] == (
-        "method-10", f"{TRIALS}/{TRIALS}", grid.rows[EXTREMES + 1][5], f"{size_m(4, 5, 10, TRIALS - 1):.0f}",
+        METHODS[-2], f"{TRIALS}/{TRIALS}", grid.rows[EXTREMES + 1][5],
+        f"{size_m(4, 5, len(METHODS) - 2, TRIALS - 1):.0f}",
     )  # fmt: skip
 
 
@@ -58,13 +69,13 @@ def test_the_page_stays_short_and_says_where_all_cells_are(wide):
     assert list(report_figures(wide)) == []
     assert max(len(grid.rows) for grid in (*report_grids(wide), *brief_grids(wide))) <= 2 * EXTREMES
     page = html_page(wide, [])
-    assert "30 scenarios and 360 cells" in page
+    assert f"30 scenarios and {CELLS} cells" in page
     assert "every cell is in table.csv" in page
     assert "18 further scenarios: manifest.json" in page
     assert "rock-1-5" in page
     assert "rock-2-0" not in page
     medians = wide.table().query("stage == 'final' and measure == 'position_error_m' and statistic == 'median'")
-    assert len(medians) == 360
+    assert len(medians) == CELLS
 
 
 def cells_of(figure):
@@ -73,8 +84,8 @@ def cells_of(figure):
     return [{tuple(map(int, text.get_position())): text.get_text() for text in axes.texts} for axes in panels]
 
 
-def test_maps_have_the_medians_and_trials_of_the_last_two_axes(tmp_path):
-    run = read_content(store_wide(tmp_path / "run", methods=METHODS[:2])).run
+def test_maps_have_the_medians_and_trials_of_the_last_two_axes(two):
+    run = two.run
     error, last = level_maps(run, run.manifest.grid)  # no covariance was stated
     assert (error.stem, last.stem) == ("map_error_method-0", "map_error_method-1")
     (cells,) = cells_of(error.figure)
@@ -85,10 +96,9 @@ def test_maps_have_the_medians_and_trials_of_the_last_two_axes(tmp_path):
     assert cells_of(last.figure)[0][5, 4] == f"-\n0/{TRIALS}"
 
 
-def test_maps_of_errors_come_before_the_failures_of_a_page(tmp_path):
-    content = read_content(store_wide(tmp_path / "run", methods=METHODS[:2]))
-    drawn = list(level_maps(content.run, content.run.manifest.grid))
-    page = html_page(content, [(one, b"png") for one in drawn])
+def test_maps_of_errors_come_before_the_failures_of_a_page(two):
+    drawn = list(level_maps(two.run, two.run.manifest.grid))
+    page = html_page(two, [(one, b"png") for one in drawn])
     assert drawn
     assert all(page.index(f'alt="{one.alt}"') < page.index("Failures by reason") for one in drawn)
 
@@ -138,11 +148,11 @@ def test_comparisons_grow_with_the_number_of_estimators_alone(wide):
 
 
 def test_of_very_many_cells_the_table_has_the_last_errors_as_they_are_in_full(wide, monkeypatch):
-    monkeypatch.setattr(pooled, "MOST_MEASURED", 300)
+    monkeypatch.setattr(pooled, "MOST_MEASURED", CELLS - 1)
     huge = content_of(wide.run)
     key = ["scenario", "estimator", "stage", "reference", "measure", "statistic"]
     short, full = huge.table().set_index(key), wide.table().set_index(key)
-    assert len(short) == 360 * (4 + 1)
+    assert len(short) == CELLS * (4 + 1)
     pd.testing.assert_frame_equal(short, full.reindex(short.index), check_like=True)
     assert "both errors at the last stage alone" in " ".join(huge.notes)
     assert "alone; all else" not in " ".join(wide.notes)
