@@ -26,8 +26,22 @@ def full_run(builder: RunBuilder) -> Callable[..., Path]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write an empty file for each figure, for tests that read texts alone: drawing takes most of a report's time."""
-    monkeypatch.setattr("boresight.reports.figures.style.render", lambda *_: b"")
-    monkeypatch.setattr("boresight.reports.pages.build.add_provenance", lambda *_: None)
+    leave_undrawn(monkeypatch)
+
+
+def leave_undrawn(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("boresight.reports.figures.style.render", lambda *_: b"")
+    patch.setattr("boresight.reports.pages.build.add_provenance", lambda *_: None)
+
+
+@pytest.fixture(scope="session")
+def unfinished(tmp_path_factory: pytest.TempPathFactory) -> ReportFiles:
+    """The report of 120 of its 6000 trials, with a commit, a command and credits, without drawn figures."""
+    builder = RunBuilder(tmp_path_factory.mktemp("unfinished") / "run")
+    told = {"commit": "abc123", "command": "boresight run x --set 'a=<b>'", "credits": ["ESA/Rosetta/NAVCAM, CC BY"]}
+    with pytest.MonkeyPatch.context() as patch:
+        leave_undrawn(patch)
+        return write_report(write_full_run(builder, trials=6000, **told))
 
 
 @pytest.fixture(scope="session")
