@@ -17,13 +17,14 @@ from boresight.scenarios.errors import BoresightError
 _PROCESSOR = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
 
 _RENDER = """
-import numpy as np, trimesh
+import numpy as np
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
 from boresight.scenarios.spec.brdf import HapkeSpec
-ball = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
+corners = 10.0 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
 at = np.array([0.0, -60.0, 0.0])
-renderer = MitsubaRenderer(TriangleMesh(ball.vertices, ball.faces), HapkeSpec(kind="hapke"))
+renderer = MitsubaRenderer(TriangleMesh(corners, np.array(faces)), HapkeSpec(kind="hapke"))
 image = renderer.render(View(Camera.from_fov(16, 16, 0.5), look_at(at), at))
 assert image.max() > 0.05, image.max()
 print(renderer.variant.name, "|", renderer.variant.why)
@@ -121,13 +122,14 @@ def test_rendering_survives_a_users_old_library(request, library):
     assert output.startswith(("llvm_ad_mono", "cuda_ad_mono", "scalar_rgb"))
 
 
-def test_rendering_survives_every_old_llvm_of_the_system():
+@pytest.mark.parametrize("most", [1, pytest.param(3, marks=pytest.mark.long)])
+def test_rendering_survives_old_llvms_of_the_system(most):
     """Real ones, where the system has some: Dr.Jit aborts the process with 15 and 16."""
     found = {path.resolve() for path in Path("/usr/lib").glob("*/libLLVM-1[456].so*")}  # one has several names
     old = [item.path for path in sorted(found) for item in _rejected_as(path)]
     if not old:
         pytest.skip("no LLVM 14, 15 or 16 in /usr/lib to try")
-    for path in old:
+    for path in old[-most:]:
         assert run(_RENDER, DRJIT_LIBLLVM_PATH=str(path))
 
 
