@@ -202,8 +202,8 @@ def test_setting_a_key_of_a_scenario_to_its_value_changes_nothing(name):
     every = [path for path, _ in leaves(spec.model_dump(mode="json")) if len(path) > 1 and path[0] != "name"]
     every = [path for path in every if "read_states" not in path]  # filled in from the table, and whole
     values = dict(leaves(spec.model_dump(mode="json")))
-    rng = np.random.default_rng(1)
-    for row in rng.permutation(len(every))[:40]:
+    rng, tried = np.random.default_rng(1), 25 if yaml_text._LOADER is yaml.CSafeLoader else 10
+    for row in rng.permutation(len(every))[:tried]:
         path = every[row]
         override = f"{'.'.join(path)}={json.dumps(values[path])}"
         assert load_scenario(name, (override,)).spec == spec, override
