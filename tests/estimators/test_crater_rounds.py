@@ -177,6 +177,29 @@ def _placed(world, knowledge, times):
     return images_along_trajectory(ones, Trajectory.a_priori(knowledge, times), task)
 
 
+def _carried(known, times):
+    """Covariance (6, 6) of both translations by the errors of the a priori orbit, by central differences."""
+    sigma = np.repeat([known.position_sigma_m, known.velocity_sigma_m_s], 3)
+    harmonics, none = known.field.harmonics, PiecewiseAcceleration.none(float(times[-1]))
+
+    def positions(off):
+        field = replace(known.field, harmonics=replace(harmonics, gm_m3_s2=harmonics.gm_m3_s2 * (1 + 0.01 * off[6])))
+        return propagate_states(field, known.state + sigma * off[:6], times, none)[:, :3].ravel()
+
+    by = np.array([(positions(off) - positions(-off)) / 0.2 for off in 0.1 * np.eye(7)])
+    return by.T @ by
+
+
+def test_errors_that_images_share_go_together_as_the_a_priori_orbit_carries_them():
+    world = orbit_world(knowledge={"position_m": 30.0, "gm_sigma": 0.01})
+    state, times = state_at_epoch(world.spec.arc, world.spec.asteroid.gm_m3_s2), np.array([40_000.0, 41_800.0])
+    known = draw_knowledge(world, state, 1, 0)
+    images, expected, rows = _placed(world, known, times), _carried(known, times), np.r_[3:6, 9:12]
+    found = joint_covariance(*images)[np.ix_(rows, rows)] - _by_turn(images, known)
+    np.testing.assert_allclose(found, expected, atol=0.01 * expected.max())
+
+
+@pytest.mark.long
 def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit():
     world = orbit_world(knowledge={"position_m": 30.0, "gm_sigma": 0.01})
     state, times = state_at_epoch(world.spec.arc, world.spec.asteroid.gm_m3_s2), np.array([40_000.0, 41_800.0])
