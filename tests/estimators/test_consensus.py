@@ -33,7 +33,7 @@ def drawn(covariance: np.ndarray) -> np.ndarray:
 
 
 def test_independent_true_covariances_contradict_each_other_as_often_as_is_said():
-    least, n = chi2.isf(0.05, 6), 1500
+    least, n = chi2.isf(0.05, 6), 600
     refused = 0
     for _ in range(n):
         one, two = drawn_covariance(), drawn_covariance()
@@ -46,7 +46,7 @@ def test_the_fused_covariance_holds_for_any_correlation(correlation):
     """Both errors have a part in common: the mean of e^T P^-1 e is at most its six degrees of freedom."""
     one, two = drawn_covariance(), drawn_covariance()
     roots, squares = [np.linalg.cholesky(each) for each in (one, two)], []
-    for _ in range(800):
+    for _ in range(300):
         common, own = rng.standard_normal((2, 6))
         first, second = roots[0] @ common, roots[1] @ (correlation * common + np.sqrt(1.0 - correlation**2) * own)
         fused = agreement(answer(first, one), answer(second, two)).fused

@@ -297,7 +297,7 @@ def test_the_solution_maximises_the_posterior():
 
 def test_the_covariance_is_consistent_and_the_bound_below_it():
     squares, ratios = [], []
-    for seed in range(150):
+    for seed in range(80):
         problem, prior = scene(np.random.default_rng(100 + seed))
         found = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
         error = GaussianPose(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
@@ -350,7 +350,7 @@ def test_observations_that_are_one_count_once():
 def test_the_covariance_is_consistent_where_errors_hold_together():
     """Neighbours on the body, with the errors of windows that overlap."""
     squares = []
-    for seed in range(150):
+    for seed in range(80):
         rng = np.random.default_rng(300 + seed)
         problem, prior = scene(rng)
         exact_px = CAMERA.project(TRUE.transform(problem.points_body_m))

@@ -253,7 +253,7 @@ def test_errors_of_pole_and_rate_grow_as_their_law_says():
     knowledge = {"pole_sigma_deg": 0.4, "spin_sigma": 0.001}
     section = spec(motion={"kind": "spin", "period_h": 20.6}, knowledge=knowledge)
     squares = []
-    for trial in range(60):
+    for trial in range(30):
         truth, sequence = draw_sequence(section, CAMERA, SPHERE, 5, trial)
         known = np.array([frame.R_body_inertial for frame in sequence.frames])
         errors = Rotation.from_matrix(known @ np.swapaxes(truth.trajectory.R_body_inertial, 1, 2)).as_rotvec()

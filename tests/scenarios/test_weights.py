@@ -14,7 +14,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.world import PoseErrorSpec
 from boresight.scenarios.weights import log_density, pose_error_weights
 
-N = 6000
+N = 2000
 WIDE = {"mixture": [{"weight": 1, "law": {"normal": [2, 2, 2]}}, {"weight": 2, "law": {"normal": [6, 4, 5]}}]}
 
 
