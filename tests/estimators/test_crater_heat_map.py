@@ -152,7 +152,7 @@ def test_an_image_in_which_no_rim_is_left_has_no_craters(options):
     assert len(CraterHeatMap.from_options(options).detect(frame, CAMERA).ellipses) == 0
 
 
-@pytest.mark.parametrize("azimuth_deg", [-20.0, 75.0])
+@pytest.mark.parametrize("azimuth_deg", [-20.0, pytest.param(75.0, marks=pytest.mark.long)])
 def test_black_sky_does_not_turn_the_sun(azimuth_deg):
     bowls = scattered(np.random.default_rng(4), 24)
     image = image_of(bowls, np.radians(azimuth_deg), INCIDENCE, noise=0.02)
@@ -163,7 +163,7 @@ def test_black_sky_does_not_turn_the_sun(azimuth_deg):
     assert abs(np.degrees(np.angle(complex(*sun) * np.exp(-1j * np.radians(azimuth_deg))))) < 25.0
 
 
-@pytest.mark.parametrize("azimuth_deg", [-20.0, 75.0, 200.0])
+@pytest.mark.parametrize("azimuth_deg", [pytest.param(-20.0, marks=pytest.mark.long), 75.0, 200.0])
 def test_the_sun_is_where_the_scene_was_lit_from(azimuth_deg):
     bowls = scattered(np.random.default_rng(4), 24)
     image = image_of(bowls, np.radians(azimuth_deg), INCIDENCE, noise=0.02)

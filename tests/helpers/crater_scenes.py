@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -61,8 +63,15 @@ def lit(surface, azimuth_rad, incidence_rad):
     return np.where(shaded, 0.0, np.maximum(cosine, 0.0))
 
 
-def image_of(bowls, azimuth_rad, incidence_rad, blur_px=0.7, noise=0.01, seed=1, soften_px=1.0):
-    """A picture from above of 1,000 digital numbers at the subsolar slope."""
+def image_of(
+    bowls: Sequence[Bowl], azimuth_rad, incidence_rad, blur_px=0.7, noise=0.01, seed=1, soften_px=1.0
+) -> np.ndarray:
+    """A picture from above of 1,000 digital numbers at the subsolar slope; each is made once."""
+    return _image_of(tuple(bowls), float(azimuth_rad), float(incidence_rad), blur_px, noise, seed, soften_px).copy()
+
+
+@cache
+def _image_of(bowls, azimuth_rad, incidence_rad, blur_px, noise, seed, soften_px):
     picture = lit(heights(bowls, soften_px=soften_px), azimuth_rad, incidence_rad)
     picture = cv2.GaussianBlur(picture, (0, 0), blur_px) if blur_px else picture
     picture = picture + noise * np.random.default_rng(seed).normal(size=picture.shape)
