@@ -20,7 +20,7 @@ def sphere(radius_m: float) -> TriangleMesh:
     return TriangleMesh(np.array(ball.vertices), np.array(ball.faces))
 
 
-@pytest.fixture(params=["llvm", "scalar"])
+@pytest.fixture(scope="module", params=["llvm", "scalar"])
 def pair(request):
     variant = request.getfixturevalue(request.param)
     spheres = sphere(FIRST_M), sphere(SECOND_M)
