@@ -190,11 +190,18 @@ def test_the_covariance_holds_what_a_wrong_range_does_to_the_greatest_correlatio
     monkeypatch.setitem(globals(), "RENDERER", renderer(None, ball, 16))
     method = estimator_class("silhouette").from_options({}, Assets())
     seen = [
-        observed(trial, size_px=110.0, turn_deg=0.01, phase_deg=(20.0, 60.0), range_sigma=0.05)
+        observed(trial, size_px=110.0, turn_deg=0.0, phase_deg=(20.0, 60.0), range_sigma=0.05)
         for trial in range(TRIALS)
     ]
-    nees = mean_nees([(truth, one, method.estimate(one, rng=np.random.default_rng(0))) for truth, one in seen])
-    assert nees < 1.15
+    squares = []
+    for truth, one in seen:
+        found = method.estimate(one, rng=np.random.default_rng(0))
+        if found.status == "ok":
+            error = found.pose.translation_m - truth.translation_m
+            squares.append(error @ np.linalg.solve(found.covariance[3:, 3:], error) / 3.0)
+    assert len(squares) >= TRIALS - 2
+    # With the slope at the prior in place of the regression it is above 2.
+    assert np.mean(squares) < 1.3
 
 
 def test_the_limb_gives_the_range():
