@@ -199,7 +199,7 @@ def test_a_mesh_has_its_landmarks_spread_evenly_and_as_many_as_asked():
     middles = egg.triangles_center
     expected = (egg.area_faces @ middles**2) / egg.area
     np.testing.assert_allclose((points**2).mean(axis=0), expected, rtol=0.01)
-    section = SequenceSpec.model_validate({"orbit": {"revolutions": 0.5, "step_deg": 6}})
+    section = SequenceSpec.model_validate({"orbit": {"revolutions": 0.5, "step_deg": 12}})
     counts = [
         np.mean([len(frame.tracks) for frame in draw_sequence(section, CAMERA, ground, 5, trial)[1].frames])
         for trial in range(12)
@@ -216,7 +216,7 @@ def test_a_fixed_field_keeps_n_in_a_frame_and_its_repeatability():
     sight = Visibility(SPHERE)
     trials = 16
     for trial in range(trials):
-        truth, sequence = drawn(trial, vision={**FIXED, "tracked_share": 0.6})
+        truth, sequence = drawn(trial, vision={**FIXED, "tracked_share": 0.6}, revolutions=0.25)
         counts.append([len(sequence.frames[i].tracks) for i in (0, 30, -1)])
         for before, after, pose in zip(sequence.frames, sequence.frames[1:], truth.poses[1:], strict=False):
             points = truth.points_m[before.tracks]
