@@ -257,6 +257,7 @@ def test_other_conditions_on_the_same_images_are_the_same_set(builder):
     assert (change.value, change.low) == (pytest.approx(1.0), None)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_states_sets_and_starts(builder):
     rng = np.random.default_rng(6)
     errors = {name: rng.uniform(2.0, 9.0, (4, STARTS)) for name in ("one", "two")}

@@ -37,6 +37,7 @@ def blurred(builder):
     return builder.write(scenarios={SCENARIO: BLURRED})
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_says_it_in_full_before_and_shortly_beside_the_headline(blurred):
     files = write_report(blurred)
     full = "camera (focal length wrong by 1 %), pose, blur (0.8 px), noise."
@@ -50,6 +51,7 @@ def test_a_report_says_it_in_full_before_and_shortly_beside_the_headline(blurred
     assert any(full in line for line in summary(blurred).attrs["known"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_comparison_says_it_of_all_its_runs(blurred, tmp_path):
     page, grids = write_comparison(compare_runs([blurred]), tmp_path / "compared")
     text = page.with_suffix(".md").read_text()

@@ -129,6 +129,7 @@ def test_one_estimator_is_compared_with_nothing(builder):
     assert paired_records(read_run(builder.write())) == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_tabulates_pairs(builder):
     rng = np.random.default_rng(4)
     base, other = rng.uniform(10, 30, 60), rng.uniform(2, 9, 60)
