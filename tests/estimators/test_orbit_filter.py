@@ -200,9 +200,9 @@ def test_covariances_foretell_errors():
 def test_an_error_of_the_spin_is_estimated_and_in_the_covariance():
     """The deviation of the rate turns the body by 1 deg over the arc, up to 8 pixels."""
     world = orbit_world(knowledge={"pole_sigma_deg": 0.3, "spin_sigma": 3e-4})
-    # The sum is a chi-square of 48 degrees of freedom.
-    low, high = chi2.interval(0.999, 48)
-    assert low < normalised_squares(world, 12, 8) < high
+    # The sum is a chi-square of 36 degrees of freedom.
+    low, high = chi2.interval(0.999, 36)
+    assert low < normalised_squares(world, 12, 6) < high
 
 
 def test_the_same_data_give_the_same_bits(clean, solved):
