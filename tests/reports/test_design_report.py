@@ -146,6 +146,7 @@ def test_main_effects_multiply(builder):
     assert write_report(builder.folder).figures
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_each_axis_is_compared_with_the_reference(builder):
     axes = [axis("focal", "0", "1", "2", values=[0, 1, 2]), axis("law", "a", "b")]
     factors = {("0", "a"): 1.0, ("1", "a"): 1.5, ("2", "a"): 2.5, ("0", "b"): 0.25}
@@ -188,6 +189,7 @@ def test_outcomes_include_the_centroid_where_it_is_a_stage(full_run):
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_unfinished_grid_has_a_report(builder, square):
     """Scenarios that have not been run are left out, and a cell without them is empty."""
     file = builder.folder / "rows" / "block-0.parquet"
