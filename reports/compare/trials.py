@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations
 from typing import Any
 
@@ -28,7 +28,8 @@ from boresight.reports.schema.tables import AFTER_REVOLUTIONS, kind_schema, meas
 from boresight.scenarios.errors import BoresightError
 
 
-def trial_numbers(run: RunData) -> dict[str, pd.Series]:
+@lru_cache(maxsize=1)
+def trial_numbers(run: RunData) -> Mapping[str, pd.Series]:
     """Return all numbers by which trials of a run can be compared, each in the order of its rows; NaN for none.
 
     They are the errors of poses, what rows hold of whole sequences, ``error_after_K_m`` (of sequences, after K

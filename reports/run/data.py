@@ -223,9 +223,11 @@ class RunData:
         if name not in self._grouped:
             whole = self.table(name)
             self._grouped[name] = whole, whole.groupby(["scenario", "estimator"], sort=False).indices
-        whole, places = self._grouped[name]
-        lines: pd.DataFrame = whole.iloc[places.get((scenario, estimator), [])]
-        return lines
+        key = name, scenario, estimator
+        if key not in self._lines:
+            whole, places = self._grouped[name]
+            self._lines[key] = whole.iloc[places.get((scenario, estimator), [])]
+        return self._lines[key]
 
     def place_in_rows(self, scenario: str, estimator: str) -> NDArray[np.integer]:
         """Return the positions in `rows` (n,) of one scenario and estimator."""
@@ -242,6 +244,11 @@ class RunData:
     @cached_property
     def _grouped(self) -> dict[str, tuple[pd.DataFrame, Mapping[Any, Any]]]:
         """Tables, and the numbers of their lines by scenario and estimator: grouped once, as a run may have many."""
+        return {}
+
+    @cached_property
+    def _lines(self) -> dict[tuple[str, str, str], pd.DataFrame]:
+        """Lines of a table, a scenario and an estimator that were asked for, as most are again and again."""
         return {}
 
     @cached_property

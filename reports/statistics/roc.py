@@ -79,10 +79,13 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
         }
         if run.table("diagnostics").empty:
             return
+        classes = {one: bad for one, bad in classes.items() if min(bad.sum(), (~bad).sum()) >= _MIN_CLASS}
+        if not classes:
+            continue
         numbers, clusters = run.of(scenario, estimator, "diagnostics"), clusters_of(run, rows)
+        by_trial = numbers.pivot(index="trial", columns="name", values="value").reindex(rows["trial"])  # noqa: PD010
         for name in numbers["name"].unique():
-            by_trial = numbers[numbers["name"] == name].set_index("trial")["value"]
-            values = by_trial.reindex(rows["trial"]).to_numpy()
+            values = by_trial[name].to_numpy()
             known = np.isfinite(values)
             for definition, bad in classes.items() if len(np.unique(values[known])) > 1 else ():
                 if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
