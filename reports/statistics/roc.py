@@ -83,7 +83,7 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
         if not classes:
             continue
         numbers, clusters = run.of(scenario, estimator, "diagnostics"), clusters_of(run, rows)
-        by_trial = numbers.pivot(index="trial", columns="name", values="value").reindex(rows["trial"])  # noqa: PD010
+        by_trial = numbers.pivot(index="trial", columns="name", values="value").reindex(rows["trial"])
         for name in numbers["name"].unique():
             values = by_trial[name].to_numpy()
             known = np.isfinite(values)
