@@ -227,7 +227,8 @@ class RunData:
         if key not in self._lines:
             whole, places = self._grouped[name]
             self._lines[key] = whole.iloc[places.get((scenario, estimator), [])]
-        return self._lines[key]
+        # A view of it: a column that somebody adds stays theirs.
+        return self._lines[key].copy(deep=False)
 
     def place_in_rows(self, scenario: str, estimator: str) -> NDArray[np.integer]:
         """Return the positions in `rows` (n,) of one scenario and estimator."""

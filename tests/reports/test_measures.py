@@ -31,6 +31,16 @@ def test_each_stage_is_measured_over_the_trials_that_reached_it(builder):
     assert (counted.value, counted.n_ok, counted.n) == (7.0, 3, 3)  # 5, 7 and the prior's 100
 
 
+def test_what_somebody_adds_to_the_lines_of_an_estimator_stays_theirs(builder):
+    _three_trials(builder)
+    run = read_run(builder.write())
+    lines = run.of(*ITOKAWA.values())
+    lines["trial"], lines["mine"] = -1, 0.0
+    again = run.of(*ITOKAWA.values())
+    assert again["trial"].tolist() == [0, 1, 2]
+    assert "mine" not in again
+
+
 def test_components_are_root_median_squares_with_sign_dropped(builder):
     builder.trial(0, ([-3, 0, 0], 1), ([1, 0, 0], 1))
     builder.trial(1, ([4, 0, 0], 1), ([1, 0, 0], 1))
