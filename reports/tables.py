@@ -178,7 +178,7 @@ def failure_grid(run: RunData) -> Grid | None:
     if len(rows) <= _MOST_FAILURES or failed["scenario"].nunique() == 1:
         columns = (*keys, "trials")
     else:
-        notes.append("The failures of each scenario are in failures.csv, beside this page.")
+        notes.append("The failures of each scenario are in failures.csv, in the folder of this report.")
         keys = keys[1:]
         columns = (*keys, "scenarios", "trials")
         scenarios = failed.groupby(keys)["scenario"].nunique()

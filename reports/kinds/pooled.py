@@ -28,7 +28,7 @@ MOST_MEASURED = 5_000
 """Scenarios times estimators of a grid up to which ``table.csv`` has every statistic of every stage."""
 MOST_LEVELS = 12
 EXTREMES = 10
-WHERE = "every cell is in table.csv, beside this page"
+WHERE = "every cell is in table.csv, in the folder of this report"
 ONLY_ERRORS = (
     " Of so many cells it has the success and both errors at the last stage alone; all else is in the rows of the run."
 )

@@ -68,7 +68,7 @@ class Dense:
         return np.concatenate(found)
 
     def _moved(self, track, k, point, common, steps) -> tuple[np.ndarray, np.ndarray]:
-        """Where a landmark is in a frame, and the error of its pixel there."""
+        """Position of a landmark at the time of a frame, m, and the error of its pixel, px."""
         point, bias = point.copy(), np.zeros(2)
         for now in range(self.began[track] + 1, k + 1):
             then = self.map.frames[now]
